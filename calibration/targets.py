@@ -1,0 +1,109 @@
+"""Where the marks of a calibration target are, in the target's own frame (mm)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from calibration.errors import CalibrationError
+from calibration.geometry import Array
+
+Polarity = Literal["light", "dark"]
+GridIndex: TypeAlias = tuple[int, int]  # (row, column), from 0
+
+
+def _lattice(rows: int, columns: int, pitch: tuple[float, float]) -> Array:
+    """Marks (rows * columns, 3) mm, row by row: x along a row, y down the columns, (0, 0) first."""
+    row, column = np.mgrid[0:rows, 0:columns]
+    return np.stack([column * pitch[0], row * pitch[1], np.zeros_like(row)], axis=-1).reshape(-1, 3).astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class SpotGrid:
+    """A regular grid of round spots, some of which may be larger (fiducials) and tell where (0, 0) is.
+
+    Mark ``row * columns + column`` stands at ``(column * pitch[0], row * pitch[1], 0)``.
+    """
+
+    rows: int
+    columns: int
+    pitch: tuple[float, float]  # mm, along x and y
+    diameter: float  # mm
+    polarity: Polarity = "light"
+    fiducials: tuple[GridIndex, ...] = ()
+    fiducial_diameter: float | None = None  # mm
+
+    @property
+    def marks(self) -> Array:
+        """(rows * columns, 3) mm."""
+        return _lattice(self.rows, self.columns, self.pitch)
+
+    def check_fiducials(self) -> None:
+        """Refuse fiducials that look like themselves after a turn or a reflection of the grid.
+
+        The pattern is compared as a set of offsets between fiducials, since a partial view shows no border: it must
+        differ from itself, up to translation, under the seven other symmetries of the square lattice.
+        ``CalibrationError`` names the symmetry.
+        """
+        if not self.fiducials:
+            return
+        points = np.array([(column, row) for row, column in self.fiducials])
+        own = _shape(points)
+        for name, matrix in _SYMMETRIES.items():
+            if _shape(points @ np.array(matrix).T) == own:
+                raise CalibrationError(
+                    f"target.fiducials {[list(f) for f in self.fiducials]} look the same after {name}; the grid could "
+                    "not be told from its own image: choose three or more that form an L with unequal arms"
+                )
+
+
+@dataclass(frozen=True, slots=True)
+class Chessboard:
+    """Inner corners of a chessboard, ``rows`` by ``columns``."""
+
+    rows: int
+    columns: int
+    pitch: tuple[float, float]  # mm
+
+    @property
+    def marks(self) -> Array:
+        """(rows * columns, 3) mm."""
+        return _lattice(self.rows, self.columns, self.pitch)
+
+
+@dataclass(frozen=True, slots=True)
+class Charuco:
+    """Corners of a ChArUco board of ``rows`` by ``columns`` squares; corner 0 is the origin."""
+
+    rows: int
+    columns: int
+    pitch: tuple[float, float]  # mm, square
+    marker: float  # mm
+    dictionary: str
+    legacy: bool = False
+
+    @property
+    def marks(self) -> Array:
+        """((rows - 1) * (columns - 1), 3) mm, in the order of OpenCV's corner numbers."""
+        return _lattice(self.rows - 1, self.columns - 1, self.pitch)
+
+
+Target: TypeAlias = SpotGrid | Chessboard | Charuco
+
+_SYMMETRIES: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
+    "a turn by 90 degrees": ((0, -1), (1, 0)),
+    "a turn by 180 degrees": ((-1, 0), (0, -1)),
+    "a turn by 270 degrees": ((0, 1), (-1, 0)),
+    "a reflection left to right": ((-1, 0), (0, 1)),
+    "a reflection top to bottom": ((1, 0), (0, -1)),
+    "a reflection about a diagonal": ((0, 1), (1, 0)),
+    "a reflection about the other diagonal": ((0, -1), (-1, 0)),
+}
+
+
+def _shape(points: np.typing.NDArray[np.int64]) -> frozenset[tuple[int, int]]:
+    """Points of a lattice up to translation."""
+    shifted = points - points.min(axis=0)
+    return frozenset((int(x), int(y)) for x, y in shifted)
