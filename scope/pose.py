@@ -11,10 +11,10 @@ from calibration.geometry import Array, Ints, Pose
 from scope import segmentation
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
-from scope.pose_decision import Evidence, margin, same_answer, weigh
+from scope.pose_decision import CAP, Evidence, margin, same_answer, weigh
 from scope.pose_light import Light, light_of
 from scope.pose_model import Model, Surface
-from scope.pose_refine import Fit, refine
+from scope.pose_refine import refine
 from scope.pose_search import View, normals_of, polish, search, thin
 from scope.pose_uncertainty import Uncertainty, shared_errors, uncertainty
 from scope.region import Region
@@ -219,23 +219,27 @@ def _weigh_all(
     options: PoseOptions,
     spacing: float,
 ) -> list[Evidence]:
-    """Refined and weighed candidates, best first."""
-    few = slice(0, 1500)
+    """Refined and weighed candidates, best first.
+
+    A quick look on the distance grid leaves out those that are far behind; the rest are refined on the mesh.
+    """
+    d, tolerance = model.diameter, options.tolerance
+    variance = sigma**2 + tolerance**2 + (0.1 * model.fine.spacing) ** 2
+    quick = []
+    for pose in poses:
+        gap = model.fine.look_up(pose.inverse.apply(view.points))[0]
+        quick.append(float(np.minimum(gap**2 / (2 * variance), CAP).sum()))
+    order = np.argsort(quick)
+    near = [k for n, k in enumerate(order) if n < 3 or quick[k] < quick[order[0]] + 0.15 * CAP * len(sigma)]
+    few = slice(0, 2500)
     camera = None if view.camera is None else view.camera[few]
-    d = model.diameter
-    fits: list[Fit] = []
-    for pose in poses[: 3 * options.candidates]:
-        reach = (0.01 * d, 0.01 * d, 0.006 * d, 0.006 * d)
-        fits.append(refine(surface, pose, view.points[few], sigma[few], camera, reach=reach, floor=options.tolerance))
-    first = [weigh(model, surface, f.pose, view, sigma, None, tolerance=options.tolerance, spacing=spacing) for f in fits]
-    order = np.argsort([e.cost for e in first])[: options.candidates]
-    fine = []
-    for k in order:
-        reach = (0.005 * d,) * 3 + (max(1.0, 0.003 * d),) * 3
-        fit = refine(surface, first[k].pose, view.points, sigma, view.camera, reach=reach, floor=options.tolerance)
-        if not any(same_answer(model, fit.pose, e.pose, turn=0.004, shift=0.002 * d) for e in fine):
-            fine.append(weigh(model, surface, fit.pose, view, sigma, light, tolerance=options.tolerance, spacing=spacing))
-    return sorted(fine, key=lambda e: e.cost)
+    reach = (0.01 * d, 0.008 * d, 0.006 * d, 0.005 * d, max(1.0, 0.003 * d), max(1.0, 0.003 * d))
+    done: list[Evidence] = []
+    for k in near[: options.candidates]:
+        fit = refine(surface, poses[k], view.points[few], sigma[few], camera, reach=reach, floor=tolerance)
+        if not any(same_answer(model, fit.pose, e.pose, turn=0.004, shift=0.002 * d) for e in done):
+            done.append(weigh(model, surface, fit.pose, view, sigma, light, tolerance=tolerance, spacing=spacing))
+    return sorted(done, key=lambda e: e.cost)
 
 
 def _decide(
@@ -254,7 +258,7 @@ def _decide(
     candidates = tuple(Candidate(e.pose, e.explained, e.blocked, e.covered, e.cost - best.cost) for e in weighed)
     points = cloud.points[rows]
     reach = max(6 * float(np.median(sigma)), 0.3)
-    fit = refine(surface, best.pose, points, sigma, camera, reach=(reach,) * 4, floor=0.0)
+    fit = refine(surface, best.pose, points, sigma, camera, reach=(reach,) * 2, floor=0.0)
     parameters = None
     if light is not None and light.sheet is not None and camera is not None:
         normal = light.camera_from_cloud[0].rotation.T @ light.sheet.normal

@@ -69,14 +69,14 @@ def align(
     return Aligned(r, t, cost)
 
 
-def passes(grid: DistanceGrid, start: Array, end: Array, depth: float, clear: float) -> NDArray[np.bool_]:
-    """Whether each segment (N, 3) -> (N, 3) stays out of the model: never deeper inside than ``depth`` mm.
+def hidden(full: NDArray[np.bool_], low: Array, voxel: float, start: Array, end: Array) -> NDArray[np.bool_]:
+    """Whether each segment (N, 3) -> (N, 3) passes a full voxel, the first three voxels of the way left out.
 
-    The first ``clear`` mm are not looked at, so that a point on the surface may start a segment.
+    ``full`` (X, Y, Z) has its corner at ``low`` (3,) mm and cubes of side ``voxel`` mm.
     """
-    free = np.empty(len(start), dtype=np.bool_)
-    _passes(grid.values, grid.origin, 1.0 / grid.spacing, start, end, depth, clear, free)
-    return free
+    found = np.zeros(len(start), dtype=np.bool_)
+    _hidden(full, low, voxel, np.ascontiguousarray(start), np.ascontiguousarray(end), found)
+    return found
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
@@ -117,33 +117,31 @@ def _look_up(values, origin, scale, points, distance, gradient):  # type: ignore
         gradient[i, 0], gradient[i, 1], gradient[i, 2] = gx, gy, gz
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _passes(values, origin, scale, start, end, depth, clear, free):  # type: ignore[no-untyped-def]
-    least = 0.5 / scale
+@njit(cache=True, nogil=True)
+def _hidden(full, low, voxel, start, end, found):  # type: ignore[no-untyped-def]
     for i in range(len(start)):
-        x, y, z = start[i, 0], start[i, 1], start[i, 2]
-        dx, dy, dz = end[i, 0] - x, end[i, 1] - y, end[i, 2] - z
-        length = np.sqrt(dx * dx + dy * dy + dz * dz)
-        dx, dy, dz = dx / length, dy / length, dz / length
-        s = clear
-        free[i] = True
-        while s < length:
-            px, py, pz = x + s * dx, y + s * dy, z + s * dz
-            fx, fy, fz = (px - origin[0]) * scale, (py - origin[1]) * scale, (pz - origin[2]) * scale
-            if (
-                (fx < 0 and dx <= 0)
-                or (fy < 0 and dy <= 0)
-                or (fz < 0 and dz <= 0)
-                or (fx > values.shape[0] - 1 and dx >= 0)
-                or (fy > values.shape[1] - 1 and dy >= 0)
-                or (fz > values.shape[2] - 1 and dz >= 0)
-            ):
-                break  # leaves the box of the model for good
-            d, _, _, _ = _trilinear(values, origin, scale, px, py, pz)
-            if d < -depth:
-                free[i] = False
+        near, far = 3.0 * voxel, 0.0
+        for a in range(3):
+            far += (end[i, a] - start[i, a]) ** 2
+        far = length = np.sqrt(far)
+        for a in range(3):  # the stretch of the segment inside the box of voxels
+            way = (end[i, a] - start[i, a]) / length
+            first, last = low[a] - start[i, a], low[a] + full.shape[a] * voxel - start[i, a]
+            if abs(way) < 1e-12:
+                if first > 0 or last < 0:
+                    far = -1.0
+            else:
+                near = max(near, min(first / way, last / way))
+                far = min(far, max(first / way, last / way))
+        s = near
+        while s < far:
+            x = int((start[i, 0] + s * (end[i, 0] - start[i, 0]) / length - low[0]) / voxel)
+            y = int((start[i, 1] + s * (end[i, 1] - start[i, 1]) / length - low[1]) / voxel)
+            z = int((start[i, 2] + s * (end[i, 2] - start[i, 2]) / length - low[2]) / voxel)
+            if 0 <= x < full.shape[0] and 0 <= y < full.shape[1] and 0 <= z < full.shape[2] and full[x, y, z]:
+                found[i] = True
                 break
-            s += max(abs(d + depth), least)
+            s += 0.7 * voxel
 
 
 @njit(cache=True, nogil=True, fastmath=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.geometry import Array, Bools, Ints, Plane, Pose, fit_plane
 from scope.cloud import ScanCloud, rotation_from_quaternion
+from scope.pose_grid import hidden
 from scope.pose_model import Surface
 
 LEAST_COSINE = 0.3  # surface at a greater slant to camera or laser is not counted on
@@ -92,16 +93,7 @@ class Light:
             for dy in (-1, 0, 1):
                 for dz in (-1, 0, 1):
                     full[index[:, 0] + dx, index[:, 1] + dy, index[:, 2] + dz] = True
-        way = end - start
-        way /= np.linalg.norm(way, axis=1, keepdims=True)
-        reach = float(np.linalg.norm(shape) * self.voxel + np.linalg.norm(start - low, axis=1).max())
-        hidden = np.zeros(len(start), dtype=np.bool_)
-        for s in np.arange(3 * self.voxel, min(reach, 400 * self.voxel), self.voxel):
-            cell = np.floor((start + s * way - low) / self.voxel).astype(np.int64)
-            within = ((cell >= 0) & (cell < shape)).all(axis=1)
-            rows = np.flatnonzero(within & ~hidden)
-            hidden[rows] |= full[tuple(cell[rows].T)]
-        return hidden
+        return hidden(full, low, self.voxel, start, end)
 
 
 def light_of(cloud: ScanCloud, others: Array, *, voxel: float, rows: int = 48) -> Light | None:
