@@ -62,7 +62,7 @@ class PinholeCamera:
     def _directions(pixels: Array, matrix: Array, distortion: Array) -> Array:
         if len(pixels) == 0:
             return np.zeros((0, 3))
-        known = np.isfinite(pixels).all(axis=1)
+        known = np.asarray(np.isfinite(pixels).all(axis=1))
         safe = np.where(known[:, None], pixels, 0.0)
         flat = cv2.undistortPoints(safe[:, None, :], matrix, distortion, None, None, None, _NEWTON)[:, 0]
         direction = np.column_stack([flat, np.ones(len(flat))])

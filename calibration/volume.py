@@ -47,7 +47,7 @@ class Volume:
 
     def contains(self, points: Array, *, margin: float = 0.0) -> Bools:
         """Mask (N,) of points (N, 3) mm at most ``margin`` mm outside; False for NaN."""
-        inside = np.isfinite(points).all(axis=1)
+        inside = np.asarray(np.isfinite(points).all(axis=1))
         for normal, offset in zip(self.normals, self.offsets, strict=True):
             inside &= points @ normal <= offset + margin
         return inside
