@@ -13,7 +13,6 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calibration.errors import CalibrationError
 from calibration.geometry import Array, Bools
 from calibration.targets import Polarity
 
@@ -287,7 +286,9 @@ def _plateau_noise(shapes: Array, noise: Noise | None, sign: float, *, whole: bo
     return out
 
 
-def _fit_edges(light: NDArray[np.float32], labels: NDArray[np.int32], chosen: NDArray[np.intp], shapes: Array, variance: Array) -> Array:
+def _fit_edges(
+    light: NDArray[np.float32], labels: NDArray[np.int32], chosen: NDArray[np.intp], shapes: Array, variance: Array
+) -> Array:
     """Two rounds of the edge fit: the first measures how ragged the outlines are, the second weighs by it."""
     from calibration import spots_kernel as kernel
 
@@ -310,7 +311,12 @@ def _assemble(shapes: Array, fit: Array) -> Spots:
     diameter = 2.0 * (fit[:, kernel.GUU] * fit[:, kernel.GVV] - fit[:, kernel.GUV] ** 2) ** 0.25
     contrast = shapes[:, kernel.LEVEL] - shapes[:, kernel.GROUND]
     return Spots(
-        fit[:, :2].copy(), covariance, diameter, contrast, fit[:, kernel.E_BLUR].copy(), shapes[:, kernel.CLIPPED].copy()
+        fit[:, :2].copy(),
+        covariance,
+        diameter,
+        contrast,
+        fit[:, kernel.E_BLUR].copy(),
+        shapes[:, kernel.CLIPPED].copy(),
     )
 
 

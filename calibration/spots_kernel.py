@@ -227,7 +227,13 @@ def _shapes(image: Image32, labels: Labels, table: Array, clip: float) -> Array:
             if count >= 6:
                 out[k, NOISE_OUT] = total / count
             out[k, U], out[k, V], out[k, GUU], out[k, GUV], out[k, GVV] = cu, cv, 4 * suu, 4 * suv, 4 * svv
-            out[k, LEVEL], out[k, GROUND], out[k, BLUR], out[k, CLIPPED], out[k, FILL] = (level, ground, blur, over / s0, fill)
+            out[k, LEVEL], out[k, GROUND], out[k, BLUR], out[k, CLIPPED], out[k, FILL] = (
+                level,
+                ground,
+                blur,
+                over / s0,
+                fill,
+            )
             out[k, TRIANGLE] = math.sqrt(c3r * c3r + c3i * c3i) / s0
             out[k, SQUARE] = math.sqrt(c4r * c4r + c4i * c4i) / s0
             out[k, SKEW] = math.sqrt(skr * skr + ski * ski) / s0
@@ -292,7 +298,14 @@ def _edges(
                     count += 1
                     residual = min(max(residual, -limit), limit)
                     nu, nv, e = nu * slant, nv * slant, 0.5 * slope / (rho * slant)
-                    j[0], j[1], j[2], j[3], j[4], j[5] = slope * nu, slope * nv, e * nu * nu, 2 * e * nu * nv, e * nv * nv, slope * t
+                    j[0], j[1], j[2], j[3], j[4], j[5] = (
+                        slope * nu,
+                        slope * nv,
+                        e * nu * nu,
+                        2 * e * nu * nv,
+                        e * nv * nv,
+                        slope * t,
+                    )
                     for p in range(6):
                         b[p] += j[p] * residual
                         for q in range(p, 6):
