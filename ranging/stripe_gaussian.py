@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.geometry import Array
-from ranging.kernels import Pixels, compiled, light
+from ranging.kernels import Pixels, compiled
 
 Single: TypeAlias = Any  # a float32 of the machine
 Lanes: TypeAlias = NDArray[np.float32]
@@ -27,6 +27,7 @@ Lanes: TypeAlias = NDArray[np.float32]
 BATCH = 16  # lines
 NEAR = 8  # px; half window in which the flanks of most stripes are found
 FAR = 24  # px; the longest half window
+WINGS = 3.5  # sigma; half window of the fit, before it is rounded up
 LONGEST = 2 * FAR + 1
 MASKED = 1e-6  # least weight of a clipped pixel
 
@@ -62,60 +63,85 @@ def fit_lines(
     b = np.zeros(BATCH, np.float32)
     f = np.zeros((10, BATCH), np.float32)
     moved = np.zeros(BATCH, np.float32)
-    begin = np.zeros(BATCH, np.int64)
-    size = np.zeros(BATCH, np.int64)
+    low_left = np.zeros(BATCH, np.float32)
+    low_right = np.zeros(BATCH, np.float32)
+    half = np.zeros(BATCH, np.float32)
+    centre = np.zeros(BATCH, np.float32)
     state = np.zeros(BATCH, np.int64)
     clipped = np.zeros(BATCH, np.int64)
     inverse_gain = np.float32(1.0 / gain_e)
     noise = np.float32(variance)
+    reach = NEAR
     for start in range(0, count, BATCH):
-        # 1. Windows and first values.
-        longest = 0
+        # 1. Windows and first values, from what stands above half of the peak.
+        while True:
+            _gather(lines, dark, has_dark, place, start, reach, saturation, y, known, clipped)
+            for m in range(BATCH):
+                low_left[m] = 1e9
+                low_right[m] = 1e9
+                a[m] = y[reach, m]
+            for k in range(reach):
+                for m in range(BATCH):
+                    low_left[m] = min(low_left[m], y[k, m] + np.float32(1e9) * (np.float32(1.0) - known[k, m]))
+            for k in range(reach + 1, 2 * reach + 1):
+                for m in range(BATCH):
+                    low_right[m] = min(low_right[m], y[k, m] + np.float32(1e9) * (np.float32(1.0) - known[k, m]))
+            for m in range(BATCH):
+                b[m] = np.float32(0.5) * (low_left[m] + low_right[m])
+                a[m] = max(a[m] - b[m], np.float32(1e-3))
+                p[m] = 0.0
+                s[m] = 0.0
+            for k in range(2 * reach + 1):
+                for m in range(BATCH):
+                    above = known[k, m] * max(y[k, m] - b[m] - np.float32(0.5) * a[m], np.float32(0.0))
+                    p[m] += np.float32(k) * above
+                    s[m] += above
+            wing = 4
+            for m in range(BATCH):
+                i = start + m
+                p[m] = p[m] / max(s[m], np.float32(1e-6))
+                s[m] = max(s[m] / (np.float32(0.7302) * a[m]), np.float32(0.5))
+                state[m] = GOOD
+                if i >= count or place[i] < 0 or known[reach, m] == 0.0:
+                    state[m] = NO_PEAK
+                else:
+                    middle = place[i] - reach + p[m]
+                    if middle < 1.5 * s[m] or middle > length - 1 - 1.5 * s[m]:
+                        state[m] = CUT
+                    elif s[m] > 0.27 * FAR:
+                        state[m] = NO_FLANK
+                if state[m] == GOOD:
+                    wing = max(wing, int(WINGS * s[m]) + 2)
+            wing = min(wing, FAR)
+            if wing <= reach:
+                break
+            reach = wing
         any_clipped = False
         for m in range(BATCH):
-            p[m], s[m], a[m], b[m] = 4.0, 1.5, 1.0, 0.0
-            state[m], size[m], clipped[m] = NO_PEAK, 0, 0
-            i = start + m
-            if i >= count or place[i] < 0:
-                continue
-            middle, width, top, floor, state[m] = _flanks(lines, dark, has_dark, i, place[i], length)
-            if state[m] != GOOD:
-                continue
-            centre = int(middle + 0.5)
-            wing = min(FAR, max(4, int(math.ceil(3.5 * width)) + 1))
-            first, last = max(0, centre - wing), min(length - 1, centre + wing)
-            if middle - first < 1.5 * width or last - middle < 1.5 * width:
-                state[m] = CUT
-                continue
-            begin[m], size[m] = first, last - first + 1
-            p[m], s[m], a[m], b[m] = middle - first, width, top - floor, floor
-            longest = max(longest, size[m])
-            for j in range(first, last + 1):
-                if lines[i, j] >= saturation:
-                    clipped[m] += 1
-                    any_clipped = True
-        for k in range(longest):
+            if state[m] != GOOD:  # a lane that does nothing
+                clipped[m] = 0
+                p[m], s[m], a[m], b[m] = reach, 1.5, 1.0, 0.0
+            any_clipped = any_clipped or clipped[m] > 0
+            half[m] = np.float32(int(WINGS * s[m]) + 2)
+            centre[m] = np.float32(int(p[m] + 0.5))
+        for k in range(2 * reach + 1):
             for m in range(BATCH):
-                y[k, m] = 0.0
-                known[k, m] = 0.0
-        for m in range(BATCH):
-            i, first = start + m, begin[m]
-            for k in range(size[m]):
-                y[k, m] = light(lines, dark, has_dark, i, first + k)
-                known[k, m] = 1.0
+                inside = abs(np.float32(k) - centre[m]) <= half[m]
+                known[k, m] = known[k, m] if inside else np.float32(0.0)
+        begin, end = reach - wing, reach + wing + 1
         # 2. Fisher scoring.
-        for _ in range(10 if any_clipped else 5):
+        for _ in range(25 if any_clipped else 5):
             if any_clipped:
                 for m in range(BATCH):
                     if clipped[m]:
                         _impute(
-                            lines, dark, has_dark, start + m, begin[m], size[m], saturation,
+                            lines, dark, has_dark, start + m, place[start + m] - reach, begin, end, saturation,
                             p[m], s[m], a[m], b[m], inverse_gain, noise, y, known, m,
                         )  # fmt: skip
             for t in range(10):
                 for m in range(BATCH):
                     f[t, m] = 0.0
-            for k in range(longest):
+            for k in range(begin, end):
                 for m in range(BATCH):
                     u = (np.float32(k) - p[m]) / s[m]
                     uu = min(u * u, np.float32(28.0))
@@ -148,7 +174,7 @@ def fit_lines(
                 dp = f[6, m] / (a[m] * f[1, m])  # in units of s
                 dp = min(max(dp, np.float32(-1.0)), np.float32(1.0))
                 dw = min(max(dw, np.float32(-0.4)), np.float32(0.4))
-                moved[m] = abs(dp) if known[0, m] > 0.0 else np.float32(0.0)
+                moved[m] = max(abs(dp), np.float32(0.2) * abs(dw)) if state[m] == GOOD else np.float32(0.0)
                 p[m] += s[m] * dp
                 s[m] = min(max(s[m] * (np.float32(1.0) + dw), np.float32(0.3)), np.float32(FAR))
                 a[m] = max(a[m] + da, np.float32(0.2) * a[m])
@@ -156,13 +182,13 @@ def fit_lines(
             most = np.float32(0.0)
             for m in range(BATCH):
                 most = max(most, moved[m])
-            if most < 0.004:
+            if most < 0.004:  # of sigma: the next step would be its square
                 break
         # 3. What is left over: Fisher information of p, third Hermite term, chi squared.
-        for t in range(5):
+        for t in range(6):
             for m in range(BATCH):
                 f[t, m] = 0.0
-        for k in range(longest):
+        for k in range(begin, end):
             for m in range(BATCH):
                 u = (np.float32(k) - p[m]) / s[m]
                 uu = min(u * u, np.float32(28.0))
@@ -175,6 +201,7 @@ def fit_lines(
                 f[2, m] += q * uu * uu
                 f[3, m] += w * g * u * uu * r
                 f[4, m] += w * r * r
+                f[5, m] += known[k, m]
         for m in range(BATCH):
             i = start + m
             if i >= count:
@@ -184,16 +211,16 @@ def fit_lines(
             table[STATE, i] = state[m]
             if state[m] != GOOD:
                 continue
-            if not (p[m] > 0.5 and p[m] < size[m] - 1.5 and f[0, m] > 0.0):
+            if not (abs(p[m] - centre[m]) < half[m] and f[0, m] > 0.0):
                 table[STATE, i] = DIVERGED
                 continue
-            table[POSITION, i] = begin[m] + p[m]
+            table[POSITION, i] = place[i] - reach + p[m]
             table[SIGMA, i] = s[m] / (a[m] * math.sqrt(f[0, m]))
             table[WIDTH, i] = s[m]
             table[PEAK, i] = a[m]
             table[FLOOR, i] = b[m]
             table[ASYMMETRY, i] = f[3, m] / (a[m] * (f[2, m] - f[1, m] * f[1, m] / f[0, m]))
-            table[MISFIT, i] = f[4, m] / max(1, size[m] - 4)
+            table[MISFIT, i] = f[4, m] / max(np.float32(1.0), f[5, m] - np.float32(4.0))
             table[CLIPPED, i] = clipped[m]
 
 
@@ -211,59 +238,48 @@ def bell(uu: Single) -> Single:
 
 
 @compiled
-def _flanks(lines: Pixels, dark: Pixels, has_dark: bool, i: int, at: int, length: int) -> tuple[Any, ...]:
-    """Middle, width, top and floor from the half-maximum crossings about the highest pixel, and a state."""
-    top = light(lines, dark, has_dark, i, at)
-    reach = NEAR
-    while True:
-        first, last = max(0, at - reach), min(length - 1, at + reach)
-        low_left, low_right = top, top
-        for j in range(first, at):
-            low_left = min(low_left, light(lines, dark, has_dark, i, j))
-        for j in range(at + 1, last + 1):
-            low_right = min(low_right, light(lines, dark, has_dark, i, j))
-        floor = np.float32(0.5) * (low_left + low_right)
-        half = np.float32(0.5) * (top + floor)
-        left, here, before = at, top, top
-        while left > first and here > half:
-            left -= 1
-            before, here = here, light(lines, dark, has_dark, i, left)
-        left_found = here <= half
-        cross_left = left + (half - here) / max(before - here, np.float32(1e-3))
-        right, here, before = at, top, top
-        while right < last and here > half:
-            right += 1
-            before, here = here, light(lines, dark, has_dark, i, right)
-        right_found = here <= half
-        cross_right = right - (half - here) / max(before - here, np.float32(1e-3))
-        width = (cross_right - cross_left) / np.float32(2.3548)
-        if (left_found and right_found and width < 0.27 * reach) or reach == FAR:
-            break
-        reach = FAR
-    state = GOOD
-    if not left_found:
-        state = CUT if first == 0 else NO_FLANK
-    elif not right_found:
-        state = CUT if last == length - 1 else NO_FLANK
-    middle = np.float32(0.5) * (cross_left + cross_right)
-    return middle, max(width, np.float32(0.5)), top, floor, state
+def _gather(
+    lines: Pixels, dark: Pixels, has_dark: bool, place: NDArray[np.int32], start: int, reach: int, saturation: float,
+    y: Lanes, known: Lanes, clipped: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Pixels of sixteen lines within ``reach`` of their places; ``known`` is 0 where there are none."""
+    count, length = lines.shape
+    for k in range(2 * reach + 1):
+        for m in range(BATCH):
+            y[k, m] = 0.0
+            known[k, m] = 0.0
+    for m in range(BATCH):
+        clipped[m] = 0
+        i = start + m
+        if i >= count or place[i] < 0:
+            continue
+        offset = place[i] - reach
+        over = 0
+        for k in range(max(0, -offset), min(2 * reach + 1, length - offset)):
+            value = np.float32(lines[i, offset + k])
+            over += value >= saturation
+            if has_dark:
+                value -= np.float32(dark[i, offset + k])
+            y[k, m] = value
+            known[k, m] = 1.0
+        clipped[m] = over
 
 
 @compiled
 def _impute(
-    lines: Pixels, dark: Pixels, has_dark: bool, i: int, first: int, n: int, saturation: float,
+    lines: Pixels, dark: Pixels, has_dark: bool, i: int, offset: int, begin: int, end: int, saturation: float,
     p: Single, s: Single, a: Single, b: Single, inverse_gain: Single, noise: Single, y: Lanes, known: Lanes, m: int,
 ) -> None:  # fmt: skip
     """Give clipped pixels the value and the weight with which least squares has the censored score and curvature."""
-    for k in range(n):
-        if lines[i, first + k] < saturation:
+    for k in range(begin, end):
+        if known[k, m] == 0.0 or lines[i, offset + k] < saturation:
             continue
         u = (k - p) / s
         g = math.exp(-0.5 * u * u)
         deviation = math.sqrt(noise + a * inverse_gain * g)
         level = saturation - 0.5
         if has_dark:
-            level -= dark[i, first + k]
+            level -= dark[i, offset + k]
         z = (level - b - a * g) / deviation
         if z > 6.0:
             hazard = z + 1.0 / z
