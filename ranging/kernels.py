@@ -19,9 +19,9 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}  # never nnan: NaN is an answer
 def compiled(function: Kernel) -> Kernel:
     """Compile without the interpreter lock, keeping the machine code on disk where a folder for it can be written."""
     try:
-        return numba.njit(function, nogil=True, cache=True, fastmath=FAST)  # type: ignore[no-any-return]
+        return numba.njit(function, nogil=True, cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[no-any-return]
     except RuntimeError:  # numba found no folder that it may write to
-        return numba.njit(function, nogil=True, fastmath=FAST)  # type: ignore[no-any-return]
+        return numba.njit(function, nogil=True, fastmath=FAST, error_model="numpy")  # type: ignore[no-any-return]
 
 
 @compiled
@@ -93,7 +93,7 @@ def peaks_of_columns(image: Pixels, dark: Pixels, has_dark: bool, half: int, out
         while tops[b, j] != best[j]:
             b += 1
         i = b * BLOCK
-        while lit_at(image, dark, has_dark, i, j) != value:
+        while light(image, dark, has_dark, i, j) < value:
             i += 1
         second = np.int64(0)
         for c in range(count):
@@ -105,16 +105,16 @@ def peaks_of_columns(image: Pixels, dark: Pixels, has_dark: bool, half: int, out
                 continue
             for k in range(first, last + 1):
                 if k < i - half or k > i + half:
-                    second = max(second, lit_at(image, dark, has_dark, k, j))
+                    second = max(second, np.int64(light(image, dark, has_dark, k, j)))
         out[j, 0] = i
         out[j, 1] = value
         out[j, 2] = second
 
 
 @compiled
-def lit_at(image: Pixels, dark: Pixels, has_dark: bool, i: int, j: int) -> int:
-    """The laser's light at one pixel, clamped at 0."""
-    value = np.int64(image[i, j])
+def light(lines: Pixels, dark: Pixels, has_dark: bool, i: int, j: int) -> Any:
+    """Laser light at pixel j of line i: float32, negative where noise has it so."""
+    value = np.float32(lines[i, j])
     if has_dark:
-        value = max(0, value - np.int64(dark[i, j]))
+        value -= np.float32(dark[i, j])
     return value

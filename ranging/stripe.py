@@ -145,12 +145,10 @@ def _gaussian(
     from ranging import stripe_gaussian
 
     saturation = options.saturation or saturation_level(lines.dtype)
-    out = np.empty((len(lines), stripe_gaussian.COLUMNS))
-    stripe_gaussian.fit_lines(
-        lines, dark, has_dark, place, noise.gain_e, noise.read_noise**2 + 1 / 12, float(saturation),
-        options.minimum_width, options.maximum_width, out,
-    )  # fmt: skip
-    return out
+    table = np.empty((stripe_gaussian.ROWS, len(lines)))
+    variance = noise.read_noise**2 + 1 / 12
+    stripe_gaussian.fit_lines(lines, dark, has_dark, place, noise.gain_e, variance, float(saturation), table)
+    return table
 
 
 _METHODS: dict[str, Callable[..., Array]] = {"auto": _gaussian, "gaussian": _gaussian}
@@ -160,13 +158,13 @@ def _judge(along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, o
     """Which lines have an answer, and why the others have none."""
     from ranging import stripe_gaussian as g
 
-    position, sigma, width, peak = (table[:, k].copy() for k in (g.POSITION, g.SIGMA, g.WIDTH, g.PEAK))
-    state, asymmetry, floor = table[:, g.STATE], table[:, g.ASYMMETRY], table[:, g.FLOOR]
+    position, sigma, width, peak = (table[k] for k in (g.POSITION, g.SIGMA, g.WIDTH, g.PEAK))
+    state, asymmetry, floor = table[g.STATE], table[g.ASYMMETRY], table[g.FLOOR]
     deviation = np.sqrt(noise.read_noise**2 + 1 / 12)
     threshold = 6.0 * deviation if options.threshold is None else options.threshold
     second = peaks[:, 2] - np.where(np.isfinite(floor), floor, 0.0)
-    reason = np.zeros(len(table), np.uint8)
-    sigma *= np.sqrt(np.maximum(1.0, table[:, g.MISFIT] / 3.0))
+    reason = np.zeros(len(peaks), np.uint8)
+    sigma *= np.sqrt(np.maximum(1.0, table[g.MISFIT] / 3.0))
     for code, found in (
         (Reason.EDGE, np.abs(asymmetry) > 0.15),
         (Reason.TWO_PEAKS, second > options.two_peaks * peak),
