@@ -136,8 +136,14 @@ def _relative_size(cell: Ints, spots: Spots, pitch: tuple[float, float]) -> Arra
     grid = np.full((*shape, 2), np.nan)
     i, j = (cell - low).T
     grid[i, j] = spots.centroids
-    step_i = np.fmin(_length(grid[i + 1, j] - grid[i, j]), np.inf), np.fmin(_length(grid[i, j] - grid[i - 1, j]), np.inf)
-    step_j = np.fmin(_length(grid[i, j + 1] - grid[i, j]), np.inf), np.fmin(_length(grid[i, j] - grid[i, j - 1]), np.inf)
+    step_i = (
+        np.fmin(_length(grid[i + 1, j] - grid[i, j]), np.inf),
+        np.fmin(_length(grid[i, j] - grid[i - 1, j]), np.inf),
+    )
+    step_j = (
+        np.fmin(_length(grid[i, j + 1] - grid[i, j]), np.inf),
+        np.fmin(_length(grid[i, j] - grid[i, j - 1]), np.inf),
+    )
     del step_i, step_j, pitch
     size = np.full(tuple(shape), np.nan)
     size[i, j] = spots.diameter
@@ -178,7 +184,13 @@ def _by_fiducials(cell: Ints, spots: Spots, target: SpotGrid) -> tuple[_Way, int
         target.fiducial_diameter,
     )
     flipped = SpotGrid(
-        target.columns, target.rows, target.pitch, target.diameter, target.polarity, target.fiducials, target.fiducial_diameter
+        target.columns,
+        target.rows,
+        target.pitch,
+        target.diameter,
+        target.polarity,
+        target.fiducials,
+        target.fiducial_diameter,
     )
     for other in (flipped, swapped):
         if _choose(_offers(cell, large, plain, other), len(target.fiducials), len(cell)) is not None:
