@@ -7,7 +7,6 @@ locally affine. `calibration.grid` finds out how it lies on the target.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.geometry import Array, Bools, Ints
 

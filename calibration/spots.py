@@ -13,7 +13,6 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calibration.errors import CalibrationError
 from calibration.geometry import Array, Bools
 from calibration.targets import Polarity
 
