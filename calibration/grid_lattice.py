@@ -14,7 +14,7 @@ _TOLERANCE = 0.22  # of the distance between neighbours: how far a point may lie
 _NEIGHBOURS = 12
 
 
-def index_lattice(points: Array, aspect: float = 1.0) -> tuple[Ints, Array]:
+def index_lattice(points: Array, aspect: float = 1.0) -> tuple[Ints, Bools]:
     """Indices of the points on the largest lattice that can be grown among them.
 
     Parameters

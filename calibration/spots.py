@@ -19,6 +19,7 @@ from calibration.targets import Polarity
 Method = Literal["edge", "paper", "gray", "binary"]
 Rejected: TypeAlias = tuple[float, float, str]  # u, v in px, and why
 
+_MODEL_ERROR = 0.003  # of the contrast: how well the profile of an edge is known
 _LEAST_PIXELS = 9  # smaller specks are noise and are not even listed
 
 
@@ -277,12 +278,14 @@ def _plateau_noise(shapes: Array, noise: Noise | None, sign: float, *, whole: bo
 
     if noise is not None:
         return noise.variance(sign * shapes[:, [kernel.GROUND, kernel.LEVEL]])
-    floor = 1.0 / 12.0 if whole else 1e-6 * float(np.nanmedian(shapes[:, kernel.LEVEL] ** 2)) if len(shapes) else 1.0
-    out = np.full((len(shapes), 2), max(floor, 1e-12))
+    contrast = shapes[:, kernel.LEVEL] - shapes[:, kernel.GROUND]
+    # no edge is known to better than a few thousandths of its contrast, however quiet the camera
+    out = np.repeat(_MODEL_ERROR**2 * contrast[:, None] ** 2 + (1.0 / 12.0 if whole else 0.0), 2, axis=1)
     for column, source in enumerate((kernel.NOISE_OUT, kernel.NOISE_IN)):
         measured = shapes[np.isfinite(shapes[:, source]), source]
         if len(measured):
-            out[:, column] = max(float(np.median(measured)), out[0, column])
+            out[:, column] = np.maximum(out[:, column], float(np.median(measured)))
+    out[:, 0] += (_typical_spread(shapes[:, kernel.HALO]) * contrast) ** 2
     return out
 
 
@@ -293,14 +296,24 @@ def _fit_edges(
     from calibration import spots_kernel as kernel
 
     owner = (chosen + 1).astype(np.int32)
-    first = kernel.edges(light, labels, owner, shapes, variance, 0.0, 2, 4.0)
+    # texture of the plateau or the ground is no part of the edge: what lies within its spread of a level is cut off
+    low = 0.1
+    high = max(0.6, 1.0 - 4.0 * _typical_spread(shapes[:, kernel.TEXTURE]))
+    high = high if high < 0.95 else np.inf
+    first = kernel.edges(light, labels, owner, shapes, variance, 0.0, low, high, 2, 4.0)
     ragged = first[np.isfinite(first[:, kernel.RAGGED]), kernel.RAGGED]
     start = shapes.copy()
     fine = np.isfinite(first[:, kernel.U])
     start[fine, : kernel.GVV + 1] = first[fine, : kernel.GVV + 1]
     start[fine, kernel.BLUR] = first[fine, kernel.E_BLUR]
     tau2 = max(0.0, float(np.median(ragged))) if len(ragged) else 0.0
-    return np.asarray(kernel.edges(light, labels, owner, start, variance, tau2, 2, 4.0))
+    return np.asarray(kernel.edges(light, labels, owner, start, variance, tau2, low, high, 2, 4.0))
+
+
+def _typical_spread(correlated: Array) -> float:
+    """One standard deviation of what neighbouring pixels share, median over the spots, as a part of the contrast."""
+    known = correlated[np.isfinite(correlated)]
+    return float(np.sqrt(max(np.median(known), 0.0))) if len(known) else 0.0
 
 
 def _assemble(shapes: Array, fit: Array) -> Spots:
@@ -329,7 +342,9 @@ def _bad_fit(spots: Spots, shapes: Array, fit: Array) -> NDArray[np.str_]:
         return why
     moved = np.linalg.norm(fit[:, :2] - shapes[:, :2], axis=1)
     sigma = np.sqrt(spots.covariance[:, 0, 0] + spots.covariance[:, 1, 1])
-    why[~(moved < 0.5 + 4.0 * sigma)] = "its outline and its grey levels disagree: dirt or a shadow on it"
+    why[~(moved < 0.3 + 0.03 * spots.diameter + 4.0 * sigma)] = (
+        "its outline and its grey levels disagree: dirt or a shadow on it"
+    )
     why[~np.isfinite(fit[:, kernel.U])] = "no edge could be fitted"
     return why
 

@@ -26,7 +26,7 @@ Labels = NDArray[np.int32]
 AREA, TOP, BOTTOM, LEFT, RIGHT, SUM_U, SUM_V, SUM_UU, SUM_UV, SUM_VV = range(10)
 #: Columns of the table of `shapes`, the first eight of which `edges` reads.
 U, V, GUU, GUV, GVV, LEVEL, GROUND, BLUR = range(8)
-NOISE_IN, NOISE_OUT, TRIANGLE, SQUARE, SKEW, CLIPPED, FILL = range(8, 15)
+NOISE_IN, NOISE_OUT, TRIANGLE, SQUARE, SKEW, CLIPPED, FILL, TEXTURE, HALO = range(8, 17)
 #: Columns of the table of `edges`: U to GVV as above, then these.
 E_BLUR, CUU, CUV, CVV, CHI2, COUNT, RAGGED = range(5, 12)
 
@@ -120,8 +120,9 @@ def _components(mask: NDArray[np.uint8], least: int) -> tuple[Labels, Array]:
 
 def _shapes(image: Image32, labels: Labels, table: Array, clip: float) -> Array:
     height, width = image.shape
-    out = np.full((len(table), 15), np.nan)
+    out = np.full((len(table), 17), np.nan)
     inner, outer = np.empty(_BUFFER), np.empty(_BUFFER)
+    beside, around = np.empty(_BUFFER), np.empty(_BUFFER)
     for k in range(len(table)):
         n = table[k, AREA]
         cu, cv = table[k, SUM_U] / n, table[k, SUM_V] / n
@@ -154,9 +155,11 @@ def _shapes(image: Image32, labels: Labels, table: Array, clip: float) -> Array:
                         top = max(top, image[v, u])
                         if (d < -near or rho2 < 0.1) and n_in < _BUFFER:
                             inner[n_in] = image[v, u]
+                            beside[n_in] = image[v, u + 1] if u + 1 < width else image[v, u]
                             n_in += 1
                     elif ring < d < far and n_out < _BUFFER:
                         outer[n_out] = image[v, u]
+                        around[n_out] = image[v, u + 1] if u + 1 < width else image[v, u]
                         n_out += 1
             if n_out < 6:
                 break
@@ -218,12 +221,14 @@ def _shapes(image: Image32, labels: Labels, table: Array, clip: float) -> Array:
             blur = min(max(blur, 0.3), 0.3 + 0.3 * math.sqrt(s0))
             if n_in >= 4:
                 out[k, NOISE_IN] = np.var(inner[:n_in])
+                out[k, TEXTURE] = np.mean((inner[:n_in] - level) * (beside[:n_in] - level)) / contrast**2
             spread = 4 * (1.4826 * np.median(np.abs(outer[:n_out] - ground)) + 0.5)
             total, count = 0.0, 0
             for i in range(n_out):
                 if abs(outer[i] - ground) < spread:
                     total += (outer[i] - ground) ** 2
                     count += 1
+            out[k, HALO] = np.mean((outer[:n_out] - ground) * (around[:n_out] - ground)) / contrast**2
             if count >= 6:
                 out[k, NOISE_OUT] = total / count
             out[k, U], out[k, V], out[k, GUU], out[k, GUV], out[k, GVV] = cu, cv, 4 * suu, 4 * suv, 4 * svv
@@ -243,7 +248,16 @@ def _shapes(image: Image32, labels: Labels, table: Array, clip: float) -> Array:
 
 
 def _edges(
-    image: Image32, labels: Labels, owner: Labels, spots: Array, noise: Array, ragged: float, turns: int, cut: float
+    image: Image32,
+    labels: Labels,
+    owner: Labels,
+    spots: Array,
+    noise: Array,
+    ragged: float,
+    low: float,
+    high: float,
+    turns: int,
+    cut: float,
 ) -> Array:
     height, width = image.shape
     out = np.full((len(spots), 12), np.nan)
@@ -289,7 +303,11 @@ def _edges(
                     slope = contrast * (_DENSITY[i] + f * (_DENSITY[i + 1] - _DENSITY[i])) / blur
                     pure = noise[k, 0] + inside * (noise[k, 1] - noise[k, 0])
                     weight = 1.0 / math.sqrt(pure + ragged * slope * slope)
-                    residual = image[v, u] - ground - contrast * inside
+                    seen = min(max((image[v, u] - ground) / contrast, low), high)
+                    if inside < low or inside > high:
+                        slope = 0.0
+                        inside = min(max(inside, low), high)
+                    residual = contrast * (seen - inside)
                     upper += (min(residual * residual, 9 * limit * limit / (weight * weight)) - pure) * slope * slope
                     lower += slope * slope * slope * slope
                     residual *= weight
