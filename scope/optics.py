@@ -64,7 +64,9 @@ class Window:
         tangent = radius / height
         for _ in range(_STEPS):
             root = np.sqrt(square + excess * tangent**2)
-            step = (gap * tangent + self.thickness * tangent / root - radius) / (gap + self.thickness * square / root**3)
+            step = (gap * tangent + self.thickness * tangent / root - radius) / (
+                gap + self.thickness * square / root**3
+            )
             tangent = np.maximum(tangent - step, 0.0)
             if not np.any(np.abs(step) > 1e-14 * (1.0 + tangent)):
                 break
@@ -210,9 +212,7 @@ class ExactLaser:
             along = np.cross(axis, [1.0, 0.0, 0.0])
         along = along / np.linalg.norm(along)
         along = np.cos(roll) * along + np.sin(roll) * np.cross(axis, along)
-        return cls(
-            np.asarray(origin, dtype=np.float64), axis, along, np.cross(axis, along), width, half_fan, window
-        )
+        return cls(np.asarray(origin, dtype=np.float64), axis, along, np.cross(axis, along), width, half_fan, window)
 
     def rays(self, angle: Array, offset: Array | float = 0.0) -> Rays:
         """Rays beyond the window at angles (N,) rad from the axis, displaced by ``offset`` mm across the sheet."""

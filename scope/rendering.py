@@ -183,7 +183,11 @@ def _lit_pixels(camera: ExactCamera, laser: ExactLaser, scene: Scene, pad: int) 
     angles, offsets = (grid.ravel() for grid in np.meshgrid(angle, across, indexing="ij"))
     points = scene.cast(laser.rays(angles, offsets)).points
     pixels = project(camera, points).reshape(count, len(across), 2) + pad
-    inside = np.isfinite(pixels).all(axis=2) & (pixels > -0.5).all(axis=2) & (pixels < [shape[1] - 0.5, shape[0] - 0.5]).all(axis=2)
+    inside = (
+        np.isfinite(pixels).all(axis=2)
+        & (pixels > -0.5).all(axis=2)
+        & (pixels < [shape[1] - 0.5, shape[0] - 0.5]).all(axis=2)
+    )
     u, v = np.rint(pixels[inside]).astype(np.int64).T
     mask = np.zeros(shape, dtype=np.uint8)
     mask[v, u] = 1
@@ -258,10 +262,16 @@ def _integrate(lattice: Array, m: int, pad: int, blur: float) -> Array:
     reach = pad * m
     taps = np.arange(-reach, reach + m)
     kernel = _answer((taps - (m - 1) / 2) / m, blur) / m
-    return np.asarray(cv2.sepFilter2D(lattice, cv2.CV_64F, kernel, kernel, anchor=(reach, reach), borderType=cv2.BORDER_CONSTANT)[::m, ::m])
+    return np.asarray(
+        cv2.sepFilter2D(lattice, cv2.CV_64F, kernel, kernel, anchor=(reach, reach), borderType=cv2.BORDER_CONSTANT)[
+            ::m, ::m
+        ]
+    )
 
 
-def _edges(shape: tuple[int, ...], j: NDArray[np.intp], i: NDArray[np.intp], part: NDArray[np.int64], normal: Array) -> Bools:
+def _edges(
+    shape: tuple[int, ...], j: NDArray[np.intp], i: NDArray[np.intp], part: NDArray[np.int64], normal: Array
+) -> Bools:
     """Cells (N,) beside a change of part, of shadow, or of the surface's direction by more than about 15 degrees."""
     index = np.full((shape[0] + 1, shape[1] + 1), -1, dtype=np.int64)
     index[j, i] = np.arange(len(j))
@@ -316,4 +326,3 @@ def expose(image: Array, sensor: Sensor, rng: np.random.Generator) -> NDArray[np
     level += sensor.read_noise * rng.standard_normal(image.shape, dtype=np.float32)
     whole = np.clip(np.rint(level), 0, sensor.white)
     return whole.astype(np.uint8) if sensor.bits <= 8 else whole.astype(np.uint16)
-

@@ -247,7 +247,9 @@ class Mesh:
         try:
             import open3d
         except (ImportError, OSError) as error:
-            raise MissingLibraryError(f"a mesh as an object needs Open3D, which does not load ({error}): pip install open3d") from error
+            raise MissingLibraryError(
+                f"a mesh as an object needs Open3D, which does not load ({error}): pip install open3d"
+            ) from error
         import trimesh
 
         if not path.is_file():

@@ -13,6 +13,8 @@ from scope.optics import ExactCamera, ExactLaser, exact_rays, project
 from scope.rendering import Sensor
 from scope.solids import Hits, Scene
 
+Along = Literal["rows", "columns"]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueStripe:
@@ -30,7 +32,7 @@ class TrueStripe:
     crossings: Ints  # (L,) how often the stripe crosses the line
 
 
-def runs_along(camera: ExactCamera, laser: ExactLaser, depth: float) -> Literal["rows", "columns"]:
+def runs_along(camera: ExactCamera, laser: ExactLaser, depth: float) -> Along:
     """Whether the stripe on a plane at z = ``depth`` mm runs along image rows or columns."""
     rays = laser.rays(np.array([-0.02, 0.02]))
     ends = project(camera, rays.at_depth(depth))
@@ -62,7 +64,7 @@ def true_stripe(
     laser: ExactLaser,
     scene: Scene,
     *,
-    along: Literal["rows", "columns"],
+    along: Along,
     sensor: Sensor,
     level: float,
 ) -> TrueStripe:
@@ -103,7 +105,18 @@ def true_stripe(
     pixels = project(camera, hits.points)
     good = hits.found & _seen(camera, scene, hits, pixels) & (np.abs(pixels[:, axis] - line) < 1e-6)
     cosine = -np.einsum("ij,ij->i", rays.direction, hits.normal) * hits.albedo
-    return _strongest(camera, laser, along, sensor, level, line[good], pixels[good], hits.points[good], hits.normal[good], cosine[good])
+    return _strongest(
+        camera,
+        laser,
+        along,
+        sensor,
+        level,
+        line[good],
+        pixels[good],
+        hits.points[good],
+        hits.normal[good],
+        cosine[good],
+    )
 
 
 def _seen(camera: ExactCamera, scene: Scene, hits: Hits, pixels: Array) -> np.typing.NDArray[np.bool_]:
@@ -121,7 +134,7 @@ def _seen(camera: ExactCamera, scene: Scene, hits: Hits, pixels: Array) -> np.ty
 def _strongest(
     camera: ExactCamera,
     laser: ExactLaser,
-    along: Literal["rows", "columns"],
+    along: Along,
     sensor: Sensor,
     level: float,
     line: Ints,
