@@ -7,6 +7,7 @@ Frame C is the camera's own: x right, y down, z forward, its pinhole at the orig
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -93,10 +94,16 @@ class ExactCamera:
     @property
     def fold(self) -> float:
         """Least tangent of the angle off axis at which radial distortion turns back; inf where it never does."""
-        k1, k2, _, _, k3 = self.distortion
-        roots = np.roots(np.trim_zeros([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0], "f"))
-        real = roots[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)].real
-        return float(np.sqrt(real.min())) if len(real) else np.inf
+        return _fold(self.distortion)
+
+
+@cache
+def _fold(distortion: tuple[float, float, float, float, float]) -> float:
+    """Least positive root of the derivative of r (1 + k1 r^2 + k2 r^4 + k3 r^6)."""
+    k1, k2, _, _, k3 = distortion
+    roots = np.roots(np.trim_zeros(np.array([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0]), "f"))
+    real = roots[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)].real
+    return float(np.sqrt(real.min())) if len(real) else np.inf
 
 
 def _distort(camera: ExactCamera, x: Array, y: Array) -> tuple[Array, Array]:

@@ -210,7 +210,7 @@ def _calibration_toml(rig: VirtualRig, dark: bool) -> str:
     jig = rig.design.jig
     lines = ["# A simulated rig; truth/ holds what it really is.", "format = 1", 'units = "mm"', "", "[target]"]
     pitch = jig.pitches[0] if jig.pitches[0] == jig.pitches[1] else list(jig.pitches)
-    target = {
+    target: dict[str, object] = {
         "kind": jig.kind,
         "polarity": jig.polarity,
         "rows": jig.rows,
@@ -308,7 +308,7 @@ def _spots(rig: VirtualRig, plane: int, marks: Array, radii: Array) -> Array:
     present = radii > 0.0
     found[present] = disk_centroids(rig.camera, rig.actual[plane], marks[present], radii[present])
     columns, rows = rig.camera.size
-    inside = ((found > -0.5) & (found < [columns - 0.5, rows - 0.5])).all(axis=1)
+    inside = np.all((found > -0.5) & (found < [columns - 0.5, rows - 0.5]), axis=1)
     return np.where(inside[:, None], found, np.nan)
 
 

@@ -344,15 +344,19 @@ class Scene:
         n = len(rays)
         distance, part = np.full(n, np.inf), np.full(n, -1, dtype=np.int64)
         normal, albedo = np.zeros((n, 3)), np.zeros(n)
-        usable = np.isfinite(rays.direction).all(axis=1)
+        usable = np.isfinite(rays.direction.sum(axis=1))
+        if not usable.any():
+            return Hits(distance, np.full((n, 3), np.nan), normal, albedo, part)
+        # all rays against all bounding spheres at once: they start near one point
+        start = rays.origin[usable].mean(axis=0)
+        spread = float(np.sqrt(np.max(np.sum((rays.origin[usable] - start) ** 2, axis=1))))
+        spheres = [item.solid.sphere for item in self.parts]
+        offset = np.stack([item.pose.apply(c) - start for item, (c, _) in zip(self.parts, spheres, strict=True)])
+        reach = np.array([radius for _, radius in spheres]) + spread + 1e-6
+        along = rays.direction @ offset.T
+        near = (np.sum(offset**2, axis=1) - along**2 <= reach**2) & usable[:, None]
         for index, item in enumerate(self.parts):
-            centre, radius = item.solid.sphere
-            near = usable
-            if np.isfinite(radius):
-                offset = item.pose.apply(centre) - rays.origin
-                along = np.einsum("ij,ij->i", offset, rays.direction)
-                near = usable & (np.einsum("ij,ij->i", offset, offset) - along**2 <= radius**2 * (1 + 1e-9))
-            rows = np.flatnonzero(near)
+            rows = np.flatnonzero(near[:, index])
             if len(rows) == 0:
                 continue
             back = item.pose.inverse
@@ -369,7 +373,7 @@ class Scene:
         """Whether rays of light reach points (N, 3) mm on the scene before anything else (within ``tolerance`` mm)."""
         reached = np.einsum("ij,ij->i", points - light.origin, light.direction)
         if self.shadowless:
-            return np.isfinite(reached)
+            return np.asarray(np.isfinite(reached))
         return np.asarray(self.cast(light).distance >= reached - tolerance)
 
 
@@ -396,5 +400,7 @@ def _slabs(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Ar
         inverse = 1.0 / direction
         one, two = (low - origin) * inverse, (high - origin) * inverse
     near, far = np.fmin(one, two), np.fmax(one, two)
-    axis = np.argmax(near, axis=1)
-    return np.take_along_axis(near, axis[:, None], axis=1)[:, 0], far.min(axis=1), axis
+    x, y, z = near.T
+    axis = np.where(x >= y, np.where(x >= z, 0, 2), np.where(y >= z, 1, 2))
+    leave = np.minimum(np.minimum(far[:, 0], far[:, 1]), far[:, 2])
+    return np.maximum(np.maximum(x, y), z), leave, axis

@@ -154,6 +154,7 @@ def _strongest(
     before, after = exact_rays(camera, pixels - step), exact_rays(camera, pixels + step)
     # how far, per pixel across the line, the surface leaves the sheet, and the sheet moves along the ray
     leaving = laser.reach(_on_plane(after, points, normal))[1] - laser.reach(_on_plane(before, points, normal))[1]
+    leaving = np.where(np.isfinite(leaving), leaving, np.inf)  # a surface that the ray grazes
     width_px = np.hypot(laser.width / np.maximum(np.abs(leaving) / 0.5, 1e-12), sensor.blur_px)
     amplitude = level * peak * np.sqrt(np.maximum(width_px**2 - sensor.blur_px**2, 0.0)) / width_px
     sheet = laser.sheet_normal(points)

@@ -212,11 +212,12 @@ def _faulty(design: RigDesign, name: str, pose: Pose) -> Pose:
             turn = Pose.from_rotation_vector(np.radians(degrees), np.zeros(3)).rotation
             pose = pose @ Pose(turn, point - turn @ point)
         pose = pose @ Pose(np.eye(3), np.array([*fault.slip, 0.0]))
-        pose = Pose(pose.rotation, pose.translation + [0.0, 0.0, fault.stand_off])
+        pose = Pose(pose.rotation, pose.translation + np.array([0.0, 0.0, fault.stand_off]))
     return pose
 
 
 def placed(item: ObjectDesign) -> Pose:
+    """cloud_from_model of an object."""
     if item.pose is not None:
         return Pose.from_matrix(item.pose)
     return Pose.from_rotation_vector(np.radians(item.rotation), item.origin)
