@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import importlib.util
 import json
 import os
@@ -219,3 +220,36 @@ def test_links_between_the_papers_lead_somewhere() -> None:
     ]
     assert len(links) > 5
     assert [f"{paper.name} -> {target}" for paper, target in links if not (paper.parent / target).exists()] == []
+
+
+# --- the documentation of files and the code that reads them ----------------------------------------------------
+
+FORMATS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+
+
+def chapter(title: str) -> str:
+    return FORMATS.split(f"\n## {title}\n")[1].split("\n## ")[0]
+
+
+def examples(title: str) -> list[str]:
+    return re.findall(r"```toml\n(.*?)```", chapter(title), re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    ("title", "module", "model"),
+    [
+        ("calibration.toml", "scope.calibration_file", "CalibrationSection"),
+        ("capture.toml", "scope.capture", "CaptureSection"),
+    ],
+)
+def test_documented_examples_are_valid_and_every_key_is_documented(title: str, module: str, model: str) -> None:
+    reader = importlib.import_module(module)
+    section = getattr(reader, model)
+    (example,) = examples(title)
+    section.model_validate(tomllib.loads(example))
+    with pytest.raises(ValueError, match="unknown"):
+        section.model_validate(tomllib.loads("unknown = 1\n" + example))
+    sections = [value for name, value in vars(reader).items() if name.endswith("Section") and name != "Section"]
+    keys = {key for each in sections for key in each.model_fields}
+    assert {"format", "units"} < keys
+    assert sorted(key for key in keys if not re.search(rf"\b{key}\b", chapter(title))) == []
