@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from calibration.geometry import Array, Codes
+from calibration.reason import Reason
+from ranging.background import Image, Noise, check_image, saturation_level
+from ranging.errors import RangingError
 
 Along = Literal["rows", "columns"]
+Method = Literal["auto", "centroid", "gaussian", "ridge"]
+Which = Literal["strongest", "first", "last", "continuous"]
+Switch = Literal["auto", "on", "off"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,6 +29,12 @@ class Stripe:
     width: Array  # (N,) px, one sigma of the stripe's profile across the line
     peak: Array  # (N,) grey levels above the background
     reason: Codes  # (N,) a Reason
+    floor: Array  # (N,) grey levels, the background under the stripe
+    asymmetry: (
+        Array  # (N,) third Hermite term of the profile over its peak; positive: the longer tail is at the higher pixels
+    )
+    second: Array  # (N,) grey levels above the background, the highest value elsewhere on the line
+    speckle: float = 0.0  # contrast of the speckle that sigma allows for; 0 where none was recognised
 
     @property
     def pixels(self) -> Array:
@@ -29,3 +42,142 @@ class Stripe:
         lines = np.arange(len(self.position), dtype=np.float64)
         pair = (lines, self.position) if self.along == "rows" else (self.position, lines)
         return np.stack(pair, axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class StripeOptions:
+    """How a stripe is looked for and measured; grey levels and pixels of the image as given."""
+
+    method: Method = "auto"  # auto: gaussian
+    which: Which = "strongest"  # of several peaks on a line
+    gain_e: float | None = None  # electrons a grey level; None: estimated
+    read_noise: float | None = None  # grey levels; None: estimated
+    saturation: int | None = None  # grey level at which the camera clips; None: the end of the depth
+    threshold: float | None = None  # least peak above the background, grey levels; None: six times the noise
+    minimum_width: float = 0.5  # px, one sigma
+    maximum_width: float = 6.0  # px, one sigma
+    two_peaks: float = 0.8  # a second peak of this share of the strongest leaves the line without an answer
+    speckle: Switch = "auto"
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.minimum_width < self.maximum_width:
+            raise ValueError("0 < minimum_width < maximum_width")
+
+
+def find_along(image: Image) -> Along:
+    """Along which axis of the image the stripe runs.
+
+    The peaks of all rows and of all columns are found. A stripe along the rows is crossed once by every column: the
+    peaks of neighbouring columns lie close together, those of neighbouring rows are noise or a long way apart.
+    """
+    check_image(image)
+    scores = {}
+    for along in ("columns", "rows"):
+        peaks = _peaks(image, image[:0], False, along, 12)  # type: ignore[arg-type]
+        place, value = peaks[:, 0].astype(np.float64), peaks[:, 1].astype(np.float64)
+        weight = np.minimum(value[1:], value[:-1])
+        weight = np.maximum(weight - np.percentile(value, 5), 0.0)
+        step = np.abs(np.diff(place))
+        scores[along] = float(np.sum(weight * np.maximum(0.0, 1.0 - step / 3.0)))
+    return "columns" if scores["columns"] > scores["rows"] else "rows"
+
+
+def extract(
+    image: Image, *, along: Along, options: StripeOptions | None = None, background: Image | None = None
+) -> Stripe:
+    """Sub-pixel position of the stripe on every line of a gray image.
+
+    Parameters
+    ----------
+    image : (rows, columns) uint8 or uint16
+    along : "rows" or "columns"
+        The axis along which the stripe runs; see `find_along`.
+    options : StripeOptions
+    background : (rows, columns) of the same depth
+        The scene with the laser off, subtracted.
+
+    Returns
+    -------
+    Stripe
+        One answer a line: a column where the stripe runs along rows. Lines without an answer are NaN and say why.
+
+    Raises
+    ------
+    RangingError
+        For an image of another depth or with channels, and a background that does not fit.
+    """
+    options = options or StripeOptions()
+    check_image(image)
+    if image.ndim != 2:
+        raise RangingError(f"an image with {image.shape[2]} channels; one is needed: choose a channel")
+    if background is not None and (background.shape != image.shape or background.dtype != image.dtype):
+        raise RangingError(
+            f"a laser-off image of {background.shape} {background.dtype} for a frame of {image.shape} {image.dtype}; both must be alike"
+        )
+    image = np.ascontiguousarray(image)
+    has_dark = background is not None
+    dark = np.ascontiguousarray(background) if background is not None else image[:0]
+    noise = Noise(options.gain_e or 30.0, 1.2 if options.read_noise is None else options.read_noise)
+    peaks = _peaks(image, dark, has_dark, along, int(np.ceil(2.5 * options.maximum_width)))
+    lines = image if along == "columns" else image.T
+    darks = (dark if along == "columns" else dark.T) if has_dark else lines
+    table = _METHODS[options.method](lines, darks, has_dark, np.ascontiguousarray(peaks[:, 0]), noise, options)
+    return _judge(along, table, peaks, noise, options)
+
+
+def _peaks(image: Image, dark: Image, has_dark: bool, along: Along, half: int) -> NDArray[np.int32]:
+    """(lines, 3): place and value of the highest pixel, and the highest value farther than ``half`` from it."""
+    from ranging import kernels
+
+    if along == "columns":
+        out = np.empty((image.shape[0], 3), np.int32)
+        order = np.arange(image.shape[1] + 1, dtype=np.uint16)
+        kernels.peaks_of_rows(image, dark, has_dark, half, order, out)
+    else:
+        out = np.empty((image.shape[1], 3), np.int32)
+        kernels.peaks_of_columns(image, dark, has_dark, half, out)
+    return out
+
+
+def _gaussian(
+    lines: Image, dark: Image, has_dark: bool, place: NDArray[np.int32], noise: Noise, options: StripeOptions
+) -> Array:
+    from ranging import stripe_gaussian
+
+    saturation = options.saturation or saturation_level(lines.dtype)
+    out = np.empty((len(lines), stripe_gaussian.COLUMNS))
+    stripe_gaussian.fit_lines(
+        lines, dark, has_dark, place, noise.gain_e, noise.read_noise**2 + 1 / 12, float(saturation),
+        options.minimum_width, options.maximum_width, out,
+    )  # fmt: skip
+    return out
+
+
+_METHODS: dict[str, Callable[..., Array]] = {"auto": _gaussian, "gaussian": _gaussian}
+
+
+def _judge(along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, options: StripeOptions) -> Stripe:
+    """Which lines have an answer, and why the others have none."""
+    from ranging import stripe_gaussian as g
+
+    position, sigma, width, peak = (table[:, k].copy() for k in (g.POSITION, g.SIGMA, g.WIDTH, g.PEAK))
+    state, asymmetry, floor = table[:, g.STATE], table[:, g.ASYMMETRY], table[:, g.FLOOR]
+    deviation = np.sqrt(noise.read_noise**2 + 1 / 12)
+    threshold = 6.0 * deviation if options.threshold is None else options.threshold
+    second = peaks[:, 2] - np.where(np.isfinite(floor), floor, 0.0)
+    reason = np.zeros(len(table), np.uint8)
+    sigma *= np.sqrt(np.maximum(1.0, table[:, g.MISFIT] / 3.0))
+    for code, found in (
+        (Reason.EDGE, np.abs(asymmetry) > 0.15),
+        (Reason.TWO_PEAKS, second > options.two_peaks * peak),
+        (Reason.TOO_NARROW, width < options.minimum_width),
+        (Reason.TOO_WIDE, (width > options.maximum_width) | (state == g.NO_FLANK)),
+        (Reason.OUT_OF_VIEW, state == g.CUT),
+        (Reason.NO_LIGHT, ~(peak >= threshold) & (state != g.CUT) & (state != g.NO_FLANK)),
+        (Reason.NO_LIGHT, peaks[:, 1] < threshold),
+    ):
+        reason[found] = code
+    lost = reason != Reason.RANGED
+    for values in (position, sigma, width, peak):
+        values[lost] = np.nan
+    return Stripe(along, position, sigma, width, peak, reason, floor, asymmetry, second)
