@@ -32,7 +32,10 @@ class Frame:
 class Source(Protocol):
     """Frames to come; ``loaders`` are called in threads, in order of issue."""
 
-    count: int | None  # None: unknown before the end
+    @property
+    def count(self) -> int | None:
+        """Frames to come in all; None: unknown before the end."""
+        ...
 
     def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
         """Calls that give the frames from the ``first`` on; one that gives None ends the stream."""
@@ -88,7 +91,7 @@ class Stream:
             announced = int(opened.get(cv2.CAP_PROP_FRAME_COUNT))
             pair = 2 if capture.background_mode == "alternate" else 1
             return cls(capture, opened, capture.video.name, announced // pair if announced > 0 else None)
-        opened = cv2.VideoCapture(capture.camera)
+        opened = cv2.VideoCapture(capture.camera or 0)
         if not opened.isOpened():
             raise RangingError(
                 f"{capture.path}: camera {capture.camera} does not answer; check the cable, the index and that no other program "

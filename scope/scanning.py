@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ Tick = Callable[[int, int], None]
 class ScanOptions:
     """What a scan may be asked for."""
 
-    stripe: StripeOptions = StripeOptions()
+    stripe: StripeOptions = field(default_factory=StripeOptions)
     extrapolate: float = 0.0  # mm outside the calibrated volume that are still ranged
     max_sigma: float | None = None  # mm; points less certain than this are rejected
     normals: bool = False
@@ -287,12 +287,14 @@ def _joined(parts: list[ScanCloud]) -> ScanCloud:
     """One cloud in scan order: by frame, then by laser, then along the stripe."""
     if not parts:
         return ScanCloud.from_points(np.zeros((0, 3)))
-    whole = replace(
-        parts[0],
-        **{
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("points", "intensity", "sigma", "sigma_cal", "pixels", "frame", "laser")
-        },
+    whole = ScanCloud(
+        points=np.concatenate([part.points for part in parts]),
+        intensity=np.concatenate([part.intensity for part in parts]),
+        sigma=np.concatenate([part.sigma for part in parts]),
+        sigma_cal=np.concatenate([part.sigma_cal for part in parts]),
+        pixels=np.concatenate([part.pixels for part in parts]),
+        frame=np.concatenate([part.frame for part in parts]),
+        laser=np.concatenate([part.laser for part in parts]),
     )
     if len(parts) == 1 or np.all(np.diff(whole.frame.astype(np.int64) * 256 + whole.laser) >= 0):
         return whole
