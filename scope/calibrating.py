@@ -37,7 +37,12 @@ class Calibration:
     two_plane: TwoPlaneFit | None
     freehand: FreehandFit | None
     views: tuple[LaserView, ...]
-    result: dict[str, Any]  # what --json gives
+    verdict: Verdict
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """What --json gives."""
+        return self.verdict.content
 
 
 def _no_tick(_done: int, _total: int) -> None:
@@ -147,7 +152,7 @@ def _calibration(
         software=f"scope {__version__}",
         inputs={_relative(path, folder): sha256_of(path) for path in plan.files},
     )
-    return Calibration(rig, plan, tuple(seen), two_plane, freehand, views, verdict.content)
+    return Calibration(rig, plan, tuple(seen), two_plane, freehand, views, verdict)
 
 
 def _relative(path: Path, folder: Path) -> str:
