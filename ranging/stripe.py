@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.geometry import Array, Codes
-from calibration.reason import Reason
 from ranging.background import Image, Noise, check_image, saturation_level
 from ranging.errors import RangingError
 
 Along = Literal["rows", "columns"]
+Layout: TypeAlias = tuple[int, int, int, int]  # lines, their length, steps to the next line and to the next pixel
 Method = Literal["auto", "centroid", "gaussian", "ridge"]
 Which = Literal["strongest", "first", "last", "continuous"]
 Switch = Literal["auto", "on", "off"]
@@ -34,7 +35,6 @@ class Stripe:
     asymmetry: (
         Array  # (N,) third Hermite term of the profile over its peak; positive: the longer tail is at the higher pixels
     )
-    second: Array  # (N,) grey levels above the background, the highest value elsewhere on the line
     speckle: float = 0.0  # contrast of the speckle that sigma allows for; 0 where none was recognised
 
     @property
@@ -58,6 +58,7 @@ class StripeOptions:
     minimum_width: float = 0.5  # px, one sigma
     maximum_width: float = 6.0  # px, one sigma
     two_peaks: float = 0.8  # a second peak of this share of the strongest leaves the line without an answer
+    edge: float = 0.15  # an asymmetry beyond this is a stripe cut by an edge
     speckle: Switch = "auto"
 
     def __post_init__(self) -> None:
@@ -75,7 +76,7 @@ def find_along(image: Image) -> Along:
     scores = {}
     for along in ("columns", "rows"):
         peaks = _peaks(image, image[:0], False, along, 12)  # type: ignore[arg-type]
-        place, value = peaks[:, 0].astype(np.float64), peaks[:, 1].astype(np.float64)
+        place, value = peaks[0].astype(np.float64), peaks[1].astype(np.float64)
         weight = np.minimum(value[1:], value[:-1])
         weight = np.maximum(weight - np.percentile(value, 5), 0.0)
         step = np.abs(np.diff(place))
@@ -120,63 +121,64 @@ def extract(
     dark = np.ascontiguousarray(background) if background is not None else image[:0]
     noise = Noise(options.gain_e or 30.0, 1.2 if options.read_noise is None else options.read_noise)
     peaks = _peaks(image, dark, has_dark, along, int(np.ceil(2.5 * options.maximum_width)))
-    lines = image if along == "columns" else image.T
-    darks = (dark if along == "columns" else dark.T) if has_dark else lines
-    table = _METHODS[options.method](lines, darks, has_dark, np.ascontiguousarray(peaks[:, 0]), noise, options)
-    return _judge(along, table, peaks, noise, options)
+    rows, columns = image.shape
+    layout = (rows, columns, columns, 1) if along == "columns" else (columns, rows, 1, columns)
+    saturation = saturation_level(image.dtype) if options.saturation is None else options.saturation
+    table = _METHODS[options.method](image.ravel(), dark.ravel(), layout, peaks[0], noise, saturation)
+    return _stripe(along, table, peaks, noise, saturation, options)
+
+
+def _stripe(
+    along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, saturation: int, options: StripeOptions
+) -> Stripe:
+    """The answers of a table, after its lines have been judged."""
+    from ranging import stripe_gaussian as g
+    from ranging.stripe_judge import judge
+
+    threshold = options.threshold
+    if threshold is None:
+        threshold = 6.0 * math.sqrt(noise.read_noise**2 + 1 / 12)
+    reason = np.empty(table.shape[1], np.uint8)
+    judge(
+        table, peaks, threshold, float(saturation), options.minimum_width, options.maximum_width,
+        options.two_peaks, options.edge, reason,
+    )  # fmt: skip
+    return Stripe(
+        along=along,
+        position=table[g.POSITION],
+        sigma=table[g.SIGMA],
+        width=table[g.WIDTH],
+        peak=table[g.PEAK],
+        reason=reason,
+        floor=table[g.FLOOR],
+        asymmetry=table[g.ASYMMETRY],
+    )
 
 
 def _peaks(image: Image, dark: Image, has_dark: bool, along: Along, half: int) -> NDArray[np.int32]:
-    """(lines, 3): place and value of the highest pixel, and the highest value farther than ``half`` from it."""
+    """(3, lines): place and value of the highest pixel, and the highest value farther than ``half`` from it."""
     from ranging import kernels
 
     if along == "columns":
-        out = np.empty((image.shape[0], 3), np.int32)
-        order = np.arange(image.shape[1] + 1, dtype=np.uint16)
-        kernels.peaks_of_rows(image, dark, has_dark, half, order, out)
+        out = np.empty((3, image.shape[0]), np.int32)
+        kernels.peaks_of_rows(image, dark, has_dark, half, out)
     else:
-        out = np.empty((image.shape[1], 3), np.int32)
+        out = np.empty((3, image.shape[1]), np.int32)
         kernels.peaks_of_columns(image, dark, has_dark, half, out)
     return out
 
 
 def _gaussian(
-    lines: Image, dark: Image, has_dark: bool, place: NDArray[np.int32], noise: Noise, options: StripeOptions
+    pixels: Image, dark: Image, layout: Layout, place: NDArray[np.int32], noise: Noise, saturation: int
 ) -> Array:
     from ranging import stripe_gaussian
 
-    saturation = options.saturation or saturation_level(lines.dtype)
-    table = np.empty((stripe_gaussian.ROWS, len(lines)))
+    table = np.empty((stripe_gaussian.ROWS, layout[0]))
     variance = noise.read_noise**2 + 1 / 12
-    stripe_gaussian.fit_lines(lines, dark, has_dark, place, noise.gain_e, variance, float(saturation), table)
+    stripe_gaussian.fit_lines(pixels, dark, layout, place, noise.gain_e, variance, float(saturation), table)
     return table
 
 
 _METHODS: dict[str, Callable[..., Array]] = {"auto": _gaussian, "gaussian": _gaussian}
 
 
-def _judge(along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, options: StripeOptions) -> Stripe:
-    """Which lines have an answer, and why the others have none."""
-    from ranging import stripe_gaussian as g
-
-    position, sigma, width, peak = (table[k] for k in (g.POSITION, g.SIGMA, g.WIDTH, g.PEAK))
-    state, asymmetry, floor = table[g.STATE], table[g.ASYMMETRY], table[g.FLOOR]
-    deviation = np.sqrt(noise.read_noise**2 + 1 / 12)
-    threshold = 6.0 * deviation if options.threshold is None else options.threshold
-    second = peaks[:, 2] - np.where(np.isfinite(floor), floor, 0.0)
-    reason = np.zeros(len(peaks), np.uint8)
-    sigma *= np.sqrt(np.maximum(1.0, table[g.MISFIT] / 3.0))
-    for code, found in (
-        (Reason.EDGE, np.abs(asymmetry) > 0.15),
-        (Reason.TWO_PEAKS, second > options.two_peaks * peak),
-        (Reason.TOO_NARROW, width < options.minimum_width),
-        (Reason.TOO_WIDE, (width > options.maximum_width) | (state == g.NO_FLANK)),
-        (Reason.OUT_OF_VIEW, state == g.CUT),
-        (Reason.NO_LIGHT, ~(peak >= threshold) & (state != g.CUT) & (state != g.NO_FLANK)),
-        (Reason.NO_LIGHT, peaks[:, 1] < threshold),
-    ):
-        reason[found] = code
-    lost = reason != Reason.RANGED
-    for values in (position, sigma, width, peak):
-        values[lost] = np.nan
-    return Stripe(along, position, sigma, width, peak, reason, floor, asymmetry, second)
