@@ -176,7 +176,7 @@ def fit_lines(
                 dp = f[6, m] / (a[m] * f[1, m])  # in units of s
                 dp = min(max(dp, np.float32(-1.0)), np.float32(1.0))
                 dw = min(max(dw, np.float32(-0.4)), np.float32(0.4))
-                moved[m] = max(abs(dp), np.float32(0.2) * abs(dw)) if state[m] == GOOD else np.float32(0.0)
+                moved[m] = max(abs(dp), np.float32(0.2) * max(abs(dw), abs(da) / a[m])) if state[m] == GOOD else np.float32(0.0)
                 p[m] += s[m] * dp
                 s[m] = min(max(s[m] * (np.float32(1.0) + dw), np.float32(0.3)), np.float32(FAR))
                 a[m] = max(a[m] + da, np.float32(0.2) * a[m]) if state[m] == GOOD else a[m]

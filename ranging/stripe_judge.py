@@ -64,7 +64,10 @@ def judge(
         elif state == CUT:
             code = OUT_OF_VIEW
         elif state == NO_FLANK:
-            code = SATURATED if top >= saturation else TOO_WIDE
+            if peak < 2.0 * threshold:  # the floor of noise that is looked for far and wide lies deeper
+                code = NO_LIGHT
+            else:
+                code = SATURATED if top >= saturation else TOO_WIDE
         elif state != GOOD:
             code = EDGE
         elif width > widest:
