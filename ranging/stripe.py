@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.geometry import Array, Codes
-from ranging.background import Image, Noise, check_image, saturation_level
+from ranging.background import Image, Noise, check_image, saturation_level, typical_noise
 from ranging.errors import RangingError
 
 Along = Literal["rows", "columns"]
@@ -35,6 +35,7 @@ class Stripe:
     asymmetry: (
         Array  # (N,) third Hermite term of the profile over its peak; positive: the longer tail is at the higher pixels
     )
+    noise: Noise | None = None  # of the camera, as known or estimated
     speckle: float = 0.0  # contrast of the speckle that sigma allows for; 0 where none was recognised
 
     @property
@@ -119,18 +120,89 @@ def extract(
     image = np.ascontiguousarray(image)
     has_dark = background is not None
     dark = np.ascontiguousarray(background) if background is not None else image[:0]
-    noise = Noise(options.gain_e or 30.0, 1.2 if options.read_noise is None else options.read_noise)
     peaks = _peaks(image, dark, has_dark, along, int(np.ceil(2.5 * options.maximum_width)))
     rows, columns = image.shape
-    layout = (rows, columns, columns, 1) if along == "columns" else (columns, rows, 1, columns)
-    saturation = saturation_level(image.dtype) if options.saturation is None else options.saturation
-    table = _METHODS[options.method](image.ravel(), dark.ravel(), layout, peaks[0], noise, saturation)
-    return _stripe(along, table, peaks, noise, saturation, options)
+    view = _View(
+        pixels=image.ravel(),
+        dark=dark.ravel(),
+        layout=(rows, columns, columns, 1) if along == "columns" else (columns, rows, 1, columns),
+        saturation=saturation_level(image.dtype) if options.saturation is None else options.saturation,
+    )
+    measure = _METHODS[options.method]
+    noise = _known_noise(options)
+    table = measure(view, peaks[0], noise or typical_noise(image.dtype))
+    contrast = 0.0
+    if noise is None or options.speckle == "on" or (options.speckle == "auto" and _looks_speckled(table)):
+        noise, contrast = _learn(view, peaks, table, noise, options)
+    return _stripe(along, table, peaks, noise, contrast, view.saturation, options)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """An image as lines across the stripe."""
+
+    pixels: Image  # flat
+    dark: Image  # flat; empty where no laser-off image is subtracted
+    layout: Layout
+    saturation: int
+
+
+def _known_noise(options: StripeOptions) -> Noise | None:
+    if options.gain_e is None or options.read_noise is None:
+        return None
+    return Noise(options.gain_e, options.read_noise)
+
+
+def _looks_speckled(table: Array) -> bool:
+    """Whether the profiles, or the peaks of neighbouring lines, differ by more than shot and read noise explain."""
+    from ranging import stripe_gaussian as g
+
+    misfit = table[g.MISFIT]
+    good = np.isfinite(misfit)
+    if np.count_nonzero(good) < 40:
+        return False
+    peak = table[g.PEAK, good]
+    rough = np.median(np.abs(np.diff(peak)) / peak[1:])
+    return bool(np.median(misfit[good]) > 1.4 or rough > 0.06)
+
+
+def _learn(
+    view: _View, peaks: NDArray[np.int32], table: Array, noise: Noise | None, options: StripeOptions
+) -> tuple[Noise, float]:
+    """Noise and speckle of this frame; ``table`` is improved by what they tell. Returns the noise and the contrast."""
+    from ranging import stripe_gaussian as g
+    from ranging import stripe_speckle
+
+    guess = noise or typical_noise(view.pixels.dtype)
+    found = stripe_speckle.analyse(view.pixels, view.dark, view.layout, table, float(view.saturation), noise)
+    if found is None:
+        return guess, 0.0
+    learnt, speckle = found
+    learnt = Noise(options.gain_e or learnt.gain_e, learnt.read_noise if options.read_noise is None else options.read_noise)
+    if noise is None:
+        table[:] = _METHODS[options.method](view, peaks[0], learnt)
+    peak = float(np.nanmedian(table[g.PEAK]))
+    variance = learnt.read_noise**2 + 1 / 12
+    matters = speckle.contrast > 0.03 and (speckle.contrast * peak) ** 2 > 0.5 * (variance + peak / learnt.gain_e)
+    if options.method == "centroid" or options.speckle == "off" or not (matters or options.speckle == "on"):
+        return learnt, 0.0
+    before = table[g.SIGMA].copy()
+    stripe_speckle.refit_lines(
+        view.pixels, view.dark, view.layout, learnt.gain_e, variance, speckle.contrast, speckle.grain,
+        float(view.saturation), stripe_speckle.usual_widths(table), table,
+    )  # fmt: skip
+    clipped = table[g.CLIPPED] > 0  # these keep their fit, but are no better than their neighbours
+    if clipped.any() and not clipped.all():
+        table[g.SIGMA, clipped] *= np.nanmedian((table[g.SIGMA] / before)[~clipped])
+    table[g.MISFIT] = np.minimum(table[g.MISFIT], 1.0)  # the speckle, which sigma now holds
+    table[g.ASYMMETRY_SIGMA] += speckle.contrast * math.sqrt(speckle.grain)
+    return learnt, speckle.contrast
 
 
 def _stripe(
-    along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, saturation: int, options: StripeOptions
-) -> Stripe:
+    along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, contrast: float, saturation: int,
+    options: StripeOptions,
+) -> Stripe:  # fmt: skip
     """The answers of a table, after its lines have been judged."""
     from ranging import stripe_gaussian as g
     from ranging.stripe_judge import judge
@@ -152,6 +224,8 @@ def _stripe(
         reason=reason,
         floor=table[g.FLOOR],
         asymmetry=table[g.ASYMMETRY],
+        noise=noise,
+        speckle=contrast,
     )
 
 
@@ -168,17 +242,16 @@ def _peaks(image: Image, dark: Image, has_dark: bool, along: Along, half: int) -
     return out
 
 
-def _gaussian(
-    pixels: Image, dark: Image, layout: Layout, place: NDArray[np.int32], noise: Noise, saturation: int
-) -> Array:
-    from ranging import stripe_gaussian
+def _gaussian(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
+    """Maximum likelihood of a Gaussian profile: at the bound of Cramer and Rao for shot and read noise."""
+    from ranging import stripe_gaussian as g
 
-    table = np.empty((stripe_gaussian.ROWS, layout[0]))
+    table = np.empty((g.ROWS, view.layout[0]))
     variance = noise.read_noise**2 + 1 / 12
-    stripe_gaussian.fit_lines(pixels, dark, layout, place, noise.gain_e, variance, float(saturation), table)
+    g.fit_lines(view.pixels, view.dark, view.layout, place, noise.gain_e, variance, float(view.saturation), table)
     return table
 
 
-_METHODS: dict[str, Callable[..., Array]] = {"auto": _gaussian, "gaussian": _gaussian}
+_METHODS: dict[str, Callable[[_View, NDArray[np.int32], Noise], Array]] = {"auto": _gaussian, "gaussian": _gaussian}
 
 
