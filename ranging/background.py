@@ -138,3 +138,9 @@ def mean_image(images: Sequence[Image]) -> Image:
 def saturation_level(dtype: Any) -> int:
     """The value at which a camera of that depth clips, as far as the depth tells."""
     return int(np.iinfo(dtype).max)
+
+
+def typical_noise(dtype: Any) -> Noise:
+    """A camera of 9,000 electrons at full scale with 40 electrons of read noise: where nothing better is known."""
+    scale = saturation_level(dtype) / 255.0
+    return Noise(gain_e=9000.0 / saturation_level(dtype), read_noise=1.2 * min(scale, 4.0))

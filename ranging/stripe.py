@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from calibration.geometry import Array, Codes
-from calibration.reason import Reason
-from ranging.background import Image, Noise, check_image, saturation_level
+from ranging.background import Image, Noise, check_image, saturation_level, typical_noise
 from ranging.errors import RangingError
 
 Along = Literal["rows", "columns"]
+Layout: TypeAlias = tuple[int, int, int, int]  # lines, their length, steps to the next line and to the next pixel
 Method = Literal["auto", "centroid", "gaussian", "ridge"]
 Which = Literal["strongest", "first", "last", "continuous"]
 Switch = Literal["auto", "on", "off"]
@@ -33,7 +34,7 @@ class Stripe:
     asymmetry: (
         Array  # (N,) third Hermite term of the profile over its peak; positive: the longer tail is at the higher pixels
     )
-    second: Array  # (N,) grey levels above the background, the highest value elsewhere on the line
+    noise: Noise | None = None  # of the camera, as known or estimated
     speckle: float = 0.0  # contrast of the speckle that sigma allows for; 0 where none was recognised
 
     @property
@@ -57,6 +58,7 @@ class StripeOptions:
     minimum_width: float = 0.5  # px, one sigma
     maximum_width: float = 6.0  # px, one sigma
     two_peaks: float = 0.8  # a second peak of this share of the strongest leaves the line without an answer
+    edge: float = 0.15  # an asymmetry beyond this is a stripe cut by an edge
     speckle: Switch = "auto"
 
     def __post_init__(self) -> None:
@@ -74,7 +76,7 @@ def find_along(image: Image) -> Along:
     scores = {}
     for along in ("columns", "rows"):
         peaks = _peaks(image, image[:0], False, along, 12)  # type: ignore[arg-type]
-        place, value = peaks[:, 0].astype(np.float64), peaks[:, 1].astype(np.float64)
+        place, value = peaks[0].astype(np.float64), peaks[1].astype(np.float64)
         weight = np.minimum(value[1:], value[:-1])
         weight = np.maximum(weight - np.percentile(value, 5), 0.0)
         step = np.abs(np.diff(place))
@@ -117,65 +119,138 @@ def extract(
     image = np.ascontiguousarray(image)
     has_dark = background is not None
     dark = np.ascontiguousarray(background) if background is not None else image[:0]
-    noise = Noise(options.gain_e or 30.0, 1.2 if options.read_noise is None else options.read_noise)
     peaks = _peaks(image, dark, has_dark, along, int(np.ceil(2.5 * options.maximum_width)))
-    lines = image if along == "columns" else image.T
-    darks = (dark if along == "columns" else dark.T) if has_dark else lines
-    table = _METHODS[options.method](lines, darks, has_dark, np.ascontiguousarray(peaks[:, 0]), noise, options)
-    return _judge(along, table, peaks, noise, options)
+    rows, columns = image.shape
+    view = _View(
+        pixels=image.ravel(),
+        dark=dark.ravel(),
+        layout=(rows, columns, columns, 1) if along == "columns" else (columns, rows, 1, columns),
+        saturation=saturation_level(image.dtype) if options.saturation is None else options.saturation,
+    )
+    measure = _METHODS[options.method]
+    noise = _known_noise(options)
+    table = measure(view, peaks[0], noise or typical_noise(image.dtype))
+    contrast = 0.0
+    if noise is None or options.speckle == "on" or (options.speckle == "auto" and _looks_speckled(table)):
+        noise, contrast = _learn(view, peaks, table, noise, options)
+    return _stripe(along, table, peaks, noise, contrast, view.saturation, options)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """An image as lines across the stripe."""
+
+    pixels: Image  # flat
+    dark: Image  # flat; empty where no laser-off image is subtracted
+    layout: Layout
+    saturation: int
+
+
+def _known_noise(options: StripeOptions) -> Noise | None:
+    if options.gain_e is None or options.read_noise is None:
+        return None
+    return Noise(options.gain_e, options.read_noise)
+
+
+def _looks_speckled(table: Array) -> bool:
+    """Whether the profiles, or the peaks of neighbouring lines, differ by more than shot and read noise explain."""
+    from ranging import stripe_gaussian as g
+
+    misfit = table[g.MISFIT]
+    good = np.isfinite(misfit)
+    if np.count_nonzero(good) < 40:
+        return False
+    peak = table[g.PEAK, good]
+    rough = np.median(np.abs(np.diff(peak)) / peak[1:])
+    return bool(np.median(misfit[good]) > 1.4 or rough > 0.06)
+
+
+def _learn(
+    view: _View, peaks: NDArray[np.int32], table: Array, noise: Noise | None, options: StripeOptions
+) -> tuple[Noise, float]:
+    """Noise and speckle of this frame; ``table`` is improved by what they tell. Returns the noise and the contrast."""
+    from ranging import stripe_gaussian as g
+    from ranging import stripe_speckle
+
+    guess = noise or typical_noise(view.pixels.dtype)
+    found = stripe_speckle.analyse(view.pixels, view.dark, view.layout, table, float(view.saturation), noise)
+    if found is None:
+        return guess, 0.0
+    learnt, speckle = found
+    learnt = Noise(options.gain_e or learnt.gain_e, learnt.read_noise if options.read_noise is None else options.read_noise)
+    if noise is None:
+        table[:] = _METHODS[options.method](view, peaks[0], learnt)
+    peak = float(np.nanmedian(table[g.PEAK]))
+    variance = learnt.read_noise**2 + 1 / 12
+    matters = speckle.contrast > 0.03 and (speckle.contrast * peak) ** 2 > 0.5 * (variance + peak / learnt.gain_e)
+    if options.method == "centroid" or options.speckle == "off" or not (matters or options.speckle == "on"):
+        return learnt, 0.0
+    before = table[g.SIGMA].copy()
+    stripe_speckle.refit_lines(
+        view.pixels, view.dark, view.layout, learnt.gain_e, variance, speckle.contrast, speckle.grain,
+        float(view.saturation), stripe_speckle.usual_widths(table), table,
+    )  # fmt: skip
+    clipped = table[g.CLIPPED] > 0  # these keep their fit, but are no better than their neighbours
+    if clipped.any() and not clipped.all():
+        table[g.SIGMA, clipped] *= np.nanmedian((table[g.SIGMA] / before)[~clipped])
+    table[g.MISFIT] = np.minimum(table[g.MISFIT], 1.0)  # the speckle, which sigma now holds
+    table[g.ASYMMETRY_SIGMA] += speckle.contrast * math.sqrt(speckle.grain)
+    return learnt, speckle.contrast
+
+
+def _stripe(
+    along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, contrast: float, saturation: int,
+    options: StripeOptions,
+) -> Stripe:  # fmt: skip
+    """The answers of a table, after its lines have been judged."""
+    from ranging import stripe_gaussian as g
+    from ranging.stripe_judge import judge
+
+    threshold = options.threshold
+    if threshold is None:
+        threshold = 6.0 * math.sqrt(noise.read_noise**2 + 1 / 12)
+    reason = np.empty(table.shape[1], np.uint8)
+    judge(
+        table, peaks, threshold, float(saturation), options.minimum_width, options.maximum_width,
+        options.two_peaks, options.edge, reason,
+    )  # fmt: skip
+    return Stripe(
+        along=along,
+        position=table[g.POSITION],
+        sigma=table[g.SIGMA],
+        width=table[g.WIDTH],
+        peak=table[g.PEAK],
+        reason=reason,
+        floor=table[g.FLOOR],
+        asymmetry=table[g.ASYMMETRY],
+        noise=noise,
+        speckle=contrast,
+    )
 
 
 def _peaks(image: Image, dark: Image, has_dark: bool, along: Along, half: int) -> NDArray[np.int32]:
-    """(lines, 3): place and value of the highest pixel, and the highest value farther than ``half`` from it."""
+    """(3, lines): place and value of the highest pixel, and the highest value farther than ``half`` from it."""
     from ranging import kernels
 
     if along == "columns":
-        out = np.empty((image.shape[0], 3), np.int32)
-        order = np.arange(image.shape[1] + 1, dtype=np.uint16)
-        kernels.peaks_of_rows(image, dark, has_dark, half, order, out)
+        out = np.empty((3, image.shape[0]), np.int32)
+        kernels.peaks_of_rows(image, dark, has_dark, half, out)
     else:
-        out = np.empty((image.shape[1], 3), np.int32)
+        out = np.empty((3, image.shape[1]), np.int32)
         kernels.peaks_of_columns(image, dark, has_dark, half, out)
     return out
 
 
-def _gaussian(
-    lines: Image, dark: Image, has_dark: bool, place: NDArray[np.int32], noise: Noise, options: StripeOptions
-) -> Array:
-    from ranging import stripe_gaussian
+def _gaussian(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
+    """Maximum likelihood of a Gaussian profile: at the bound of Cramer and Rao for shot and read noise."""
+    from ranging import stripe_gaussian as g
 
-    saturation = options.saturation or saturation_level(lines.dtype)
-    table = np.empty((stripe_gaussian.ROWS, len(lines)))
+    table = np.empty((g.ROWS, view.layout[0]))
     variance = noise.read_noise**2 + 1 / 12
-    stripe_gaussian.fit_lines(lines, dark, has_dark, place, noise.gain_e, variance, float(saturation), table)
+    g.fit_lines(view.pixels, view.dark, view.layout, place, noise.gain_e, variance, float(view.saturation), table)
     return table
 
 
-_METHODS: dict[str, Callable[..., Array]] = {"auto": _gaussian, "gaussian": _gaussian}
+_METHODS: dict[str, Callable[[_View, NDArray[np.int32], Noise], Array]] = {"auto": _gaussian, "gaussian": _gaussian}
 
 
-def _judge(along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, options: StripeOptions) -> Stripe:
-    """Which lines have an answer, and why the others have none."""
-    from ranging import stripe_gaussian as g
-
-    position, sigma, width, peak = (table[k] for k in (g.POSITION, g.SIGMA, g.WIDTH, g.PEAK))
-    state, asymmetry, floor = table[g.STATE], table[g.ASYMMETRY], table[g.FLOOR]
-    deviation = np.sqrt(noise.read_noise**2 + 1 / 12)
-    threshold = 6.0 * deviation if options.threshold is None else options.threshold
-    second = peaks[:, 2] - np.where(np.isfinite(floor), floor, 0.0)
-    reason = np.zeros(len(peaks), np.uint8)
-    sigma *= np.sqrt(np.maximum(1.0, table[g.MISFIT] / 3.0))
-    for code, found in (
-        (Reason.EDGE, np.abs(asymmetry) > 0.15),
-        (Reason.TWO_PEAKS, second > options.two_peaks * peak),
-        (Reason.TOO_NARROW, width < options.minimum_width),
-        (Reason.TOO_WIDE, (width > options.maximum_width) | (state == g.NO_FLANK)),
-        (Reason.OUT_OF_VIEW, state == g.CUT),
-        (Reason.NO_LIGHT, ~(peak >= threshold) & (state != g.CUT) & (state != g.NO_FLANK)),
-        (Reason.NO_LIGHT, peaks[:, 1] < threshold),
-    ):
-        reason[found] = code
-    lost = reason != Reason.RANGED
-    for values in (position, sigma, width, peak):
-        values[lost] = np.nan
-    return Stripe(along, position, sigma, width, peak, reason, floor, asymmetry, second)

@@ -23,6 +23,7 @@ from ranging.kernels import Pixels, compiled
 
 Single: TypeAlias = Any  # a float32 of the machine
 Lanes: TypeAlias = NDArray[np.float32]
+Layout: TypeAlias = tuple[int, int, int, int]  # lines, their length, steps of memory to the next line and the next pixel
 
 BATCH = 16  # lines
 NEAR = 8  # px; half window in which the flanks of most stripes are found
@@ -32,17 +33,17 @@ LONGEST = 2 * FAR + 1
 MASKED = 1e-6  # least weight of a clipped pixel
 
 # Rows of the table of results.
-POSITION, SIGMA, WIDTH, PEAK, FLOOR, ASYMMETRY, MISFIT, CLIPPED, STATE = range(9)
-ROWS = 9
+POSITION, SIGMA, WIDTH, PEAK, FLOOR, ASYMMETRY, ASYMMETRY_SIGMA, MISFIT, CLIPPED, STATE = range(10)
+ROWS = 10
 # States of a line.
 GOOD, NO_PEAK, NO_FLANK, CUT, DIVERGED = range(5)
 
 
 @compiled
 def fit_lines(
-    lines: Pixels,
+    pixels: Pixels,
     dark: Pixels,
-    has_dark: bool,
+    layout: Layout,
     place: NDArray[np.int32],
     gain_e: float,
     variance: float,
@@ -51,10 +52,11 @@ def fit_lines(
 ) -> None:
     """Fit every line that has a place (>= 0).
 
-    ``lines`` and ``dark`` are (N, length) of any layout, ``place`` (N,) px, ``variance`` the noise of a dark pixel in
-    grey levels squared; ``table`` (ROWS, N) receives the answers, NaN where the state is not GOOD.
+    ``pixels`` and ``dark`` (empty: none) are flat images of a ``layout``, ``place`` (N,) px, ``variance`` the noise of a
+    dark pixel in grey levels squared; ``table`` (ROWS, N) receives the answers. Where the state is not GOOD they are NaN,
+    but for the peak and floor of what was seen.
     """
-    count, length = lines.shape
+    count, length = layout[0], layout[1]
     y = np.zeros((LONGEST, BATCH), np.float32)
     known = np.zeros((LONGEST, BATCH), np.float32)
     p = np.zeros(BATCH, np.float32)
@@ -75,7 +77,7 @@ def fit_lines(
     for start in range(0, count, BATCH):
         # 1. Windows and first values, from what stands above half of the peak.
         while True:
-            _gather(lines, dark, has_dark, place, start, reach, saturation, y, known, clipped)
+            _gather(pixels, dark, layout, place, start, reach, saturation, y, known, clipped)
             for m in range(BATCH):
                 low_left[m] = 1e9
                 low_right[m] = 1e9
@@ -120,7 +122,7 @@ def fit_lines(
         for m in range(BATCH):
             if state[m] != GOOD:  # a lane that does nothing
                 clipped[m] = 0
-                p[m], s[m], a[m], b[m] = reach, 1.5, 1.0, 0.0
+                p[m], s[m] = reach, 1.5
             any_clipped = any_clipped or clipped[m] > 0
             half[m] = np.float32(int(WINGS * s[m]) + 2)
             centre[m] = np.float32(int(p[m] + 0.5))
@@ -135,7 +137,7 @@ def fit_lines(
                 for m in range(BATCH):
                     if clipped[m]:
                         _impute(
-                            lines, dark, has_dark, start + m, place[start + m] - reach, begin, end, saturation,
+                            pixels, dark, layout, start + m, place[start + m] - reach, begin, end, saturation,
                             p[m], s[m], a[m], b[m], inverse_gain, noise, y, known, m,
                         )  # fmt: skip
             for t in range(10):
@@ -174,11 +176,11 @@ def fit_lines(
                 dp = f[6, m] / (a[m] * f[1, m])  # in units of s
                 dp = min(max(dp, np.float32(-1.0)), np.float32(1.0))
                 dw = min(max(dw, np.float32(-0.4)), np.float32(0.4))
-                moved[m] = max(abs(dp), np.float32(0.2) * abs(dw)) if state[m] == GOOD else np.float32(0.0)
+                moved[m] = max(abs(dp), np.float32(0.2) * max(abs(dw), abs(da) / a[m])) if state[m] == GOOD else np.float32(0.0)
                 p[m] += s[m] * dp
                 s[m] = min(max(s[m] * (np.float32(1.0) + dw), np.float32(0.3)), np.float32(FAR))
-                a[m] = max(a[m] + da, np.float32(0.2) * a[m])
-                b[m] += db
+                a[m] = max(a[m] + da, np.float32(0.2) * a[m]) if state[m] == GOOD else a[m]
+                b[m] = b[m] + db if state[m] == GOOD else b[m]
             most = np.float32(0.0)
             for m in range(BATCH):
                 most = max(most, moved[m])
@@ -209,6 +211,8 @@ def fit_lines(
             for t in range(ROWS):
                 table[t, i] = np.nan
             table[STATE, i] = state[m]
+            table[PEAK, i] = a[m]
+            table[FLOOR, i] = b[m]
             if state[m] != GOOD:
                 continue
             if not (abs(p[m] - centre[m]) < half[m] and f[0, m] > 0.0):
@@ -217,9 +221,9 @@ def fit_lines(
             table[POSITION, i] = place[i] - reach + p[m]
             table[SIGMA, i] = s[m] / (a[m] * math.sqrt(f[0, m]))
             table[WIDTH, i] = s[m]
-            table[PEAK, i] = a[m]
-            table[FLOOR, i] = b[m]
-            table[ASYMMETRY, i] = f[3, m] / (a[m] * (f[2, m] - f[1, m] * f[1, m] / f[0, m]))
+            odd = f[2, m] - f[1, m] * f[1, m] / f[0, m]
+            table[ASYMMETRY, i] = f[3, m] / (a[m] * odd)
+            table[ASYMMETRY_SIGMA, i] = 1.0 / (a[m] * math.sqrt(odd))
             table[MISFIT, i] = f[4, m] / max(np.float32(1.0), f[5, m] - np.float32(4.0))
             table[CLIPPED, i] = clipped[m]
 
@@ -239,11 +243,12 @@ def bell(uu: Single) -> Single:
 
 @compiled
 def _gather(
-    lines: Pixels, dark: Pixels, has_dark: bool, place: NDArray[np.int32], start: int, reach: int, saturation: float,
+    pixels: Pixels, dark: Pixels, layout: Layout, place: NDArray[np.int32], start: int, reach: int, saturation: float,
     y: Lanes, known: Lanes, clipped: NDArray[np.int64],
 ) -> None:  # fmt: skip
     """Pixels of sixteen lines within ``reach`` of their places; ``known`` is 0 where there are none."""
-    count, length = lines.shape
+    count, length, line_step, pixel_step = layout
+    has_dark = dark.size > 0
     for k in range(2 * reach + 1):
         for m in range(BATCH):
             y[k, m] = 0.0
@@ -256,10 +261,11 @@ def _gather(
         offset = place[i] - reach
         over = 0
         for k in range(max(0, -offset), min(2 * reach + 1, length - offset)):
-            value = np.float32(lines[i, offset + k])
+            at = i * line_step + (offset + k) * pixel_step
+            value = np.float32(pixels[at])
             over += value >= saturation
             if has_dark:
-                value -= np.float32(dark[i, offset + k])
+                value -= np.float32(dark[at])
             y[k, m] = value
             known[k, m] = 1.0
         clipped[m] = over
@@ -267,19 +273,20 @@ def _gather(
 
 @compiled
 def _impute(
-    lines: Pixels, dark: Pixels, has_dark: bool, i: int, offset: int, begin: int, end: int, saturation: float,
+    pixels: Pixels, dark: Pixels, layout: Layout, i: int, offset: int, begin: int, end: int, saturation: float,
     p: Single, s: Single, a: Single, b: Single, inverse_gain: Single, noise: Single, y: Lanes, known: Lanes, m: int,
 ) -> None:  # fmt: skip
     """Give clipped pixels the value and the weight with which least squares has the censored score and curvature."""
     for k in range(begin, end):
-        if known[k, m] == 0.0 or lines[i, offset + k] < saturation:
+        at = i * layout[2] + (offset + k) * layout[3]
+        if known[k, m] == 0.0 or pixels[at] < saturation:
             continue
         u = (k - p) / s
         g = math.exp(-0.5 * u * u)
         deviation = math.sqrt(noise + a * inverse_gain * g)
         level = saturation - 0.5
-        if has_dark:
-            level -= dark[i, offset + k]
+        if dark.size > 0:
+            level -= dark[at]
         z = (level - b - a * g) / deviation
         if z > 6.0:
             hazard = z + 1.0 / z
