@@ -298,13 +298,16 @@ def speckle(shape: tuple[int, int], contrast: float, grain: float, rng: np.rando
     Log-normal with a Gaussian autocorrelation of its logarithm, ``grain`` wide at half height: close to the gamma
     distribution of averaged speckle for contrasts up to about a half. ``grain`` = 0 is white.
     """
-    sigma = grain / (4.0 * np.sqrt(np.log(2.0)))
-    reach = int(np.ceil(4.0 * sigma)) if sigma > 0.2 else 0
-    field = rng.standard_normal((shape[0] + 2 * reach, shape[1] + 2 * reach), dtype=np.float32).astype(np.float64)
-    if reach:
-        kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-        kernel /= np.linalg.norm(kernel)  # keeps the variance
-        field = cv2.sepFilter2D(field, cv2.CV_64F, kernel, kernel)[reach:-reach, reach:-reach]
+    # the kernel of one axis whose autocorrelation is the grain's: the root of its spectrum
+    size = 32 * (int(np.ceil(grain)) + 1)
+    lag = np.fft.fftfreq(size, 1.0 / size)
+    peak = np.exp(-4.0 * np.log(2.0) * (lag / grain) ** 2) if grain > 0.0 else (lag == 0.0).astype(np.float64)
+    kernel = np.fft.fftshift(np.fft.ifft(np.sqrt(np.maximum(np.fft.fft(peak).real, 0.0))).real)
+    reach = int(np.ceil(2.0 * grain)) + 3
+    kernel = kernel[size // 2 - reach : size // 2 + reach + 1]
+    kernel /= np.linalg.norm(kernel)  # keeps the variance
+    white = rng.standard_normal((shape[0] + 2 * reach, shape[1] + 2 * reach), dtype=np.float32)
+    field = cv2.sepFilter2D(white, cv2.CV_32F, kernel, kernel)[reach:-reach, reach:-reach].astype(np.float64)
     spread = np.log1p(contrast**2)
     return np.asarray(np.exp(np.sqrt(spread) * field - spread / 2.0))
 
