@@ -242,15 +242,22 @@ def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_
     ku, kv = (_FINE if m == 1 else 1 for m in (mu, mv))
     lattice = np.zeros((cells.shape[0] * kv, cells.shape[1] * ku))
     edge = _edges(cells.shape, j, i, part, normal, values)
+    # beside an edge a long cell's light must lie along it, not in its middle
+    marked = np.zeros(cells.shape, dtype=np.uint8)
+    marked[j[edge], i[edge]] = 1
+    beside = ~edge & (cv2.dilate(marked, np.ones((1 + 4 * (kv > 1), 1 + 4 * (ku > 1)), np.uint8))[j, i] > 0)
     j, i = j * kv, i * ku
-    lattice[j[~edge] + kv // 2, i[~edge] + ku // 2] = values[~edge] * (ku * kv)
-    if edge.any():
+    plain = ~edge & ~beside
+    lattice[j[plain] + kv // 2, i[plain] + ku // 2] = values[plain] * (ku * kv)
+    for some, within in ((beside, np.array([[0.5, 0.5]])), (edge, _ROOKS)):
+        if not some.any():
+            continue
         for y in range(kv):
             for x in range(ku):
-                shift = np.stack([(x + _ROOKS[:, 0]) / ku - 0.5, (y + _ROOKS[:, 1]) / kv - 0.5], axis=1) / [mu, mv]
-                fine = (centre[edge][:, None, :] + shift).reshape(-1, 2)
-                light = _radiance(camera, laser, scene, fine)[0].reshape(-1, len(_ROOKS))
-                lattice[j[edge] + y, i[edge] + x] = light.mean(axis=1)
+                shift = np.stack([(x + within[:, 0]) / ku - 0.5, (y + within[:, 1]) / kv - 0.5], axis=1) / [mu, mv]
+                fine = (centre[some][:, None, :] + shift).reshape(-1, 2)
+                light = _radiance(camera, laser, scene, fine)[0].reshape(-1, len(within))
+                lattice[j[some] + y, i[some] + x] = light.mean(axis=1)
     found = _integrate(lattice, (mu * ku, mv * kv), pad, blur_px)  # starts pad pixels before the mask
     v1, u1 = v0 - pad, u0 - pad
     t, s = max(v1, 0), max(u1, 0)
