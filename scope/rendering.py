@@ -19,7 +19,9 @@ from scope.optics import ExactCamera, ExactLaser, exact_rays, project
 from scope.solids import Scene
 
 _REACH = 4.5  # standard deviations of light or blur, beyond which there is none
-_FINE = 3  # an edge cell is divided by this along each axis
+_FINE = 3  # cells beside edges, of which one is enough elsewhere, are divided by this
+# where a cell beside an edge is sampled: no two samples share a row or a column, so that upright edges fall between all
+_ROOKS = (np.stack([np.arange(8), 3 * np.arange(8) % 8], axis=1) + 0.5) / 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,11 +196,19 @@ def _lit_pixels(camera: ExactCamera, laser: ExactLaser, scene: Scene, pad: int) 
     return np.asarray(cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
 
 
-def _samples(camera: ExactCamera, laser: ExactLaser, scene_depth: float, blur: float) -> int:
-    """Samples a pixel and axis with which the lattice's aliasing stays under 1e-5 of the stripe's light."""
-    stripe = max(laser.width * min(camera.focal) / scene_depth, 1e-3)
+def _samples(camera: ExactCamera, laser: ExactLaser, depth: float, blur: float) -> tuple[int, int]:
+    """Cells a pixel along u and v with which the lattice's aliasing stays under 1e-5 of the stripe's light.
+
+    Across the stripe its own width and the lens limit the band. Along it one cell is enough behind a lens of half a
+    pixel: a pixel's answer has a zero at one cycle a pixel, which the lens flattens, and the light changes slowly.
+    """
+    stripe = max(laser.width * min(camera.focal) / depth, 1e-3)
     together = 1.0 / np.sqrt(1.0 / stripe**2 + 1.0 / blur**2)
-    return int(np.clip(np.ceil(0.763 / together), 2, 8))
+    m = int(np.clip(np.ceil(0.763 / together), 2, 8))
+    tilt = np.abs(laser.along[:2])
+    if blur < 0.5 or tilt.min() > 0.5 * tilt.max():
+        return m, m
+    return (1, m) if tilt[0] > tilt[1] else (m, 1)
 
 
 def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_px: float) -> Array:
@@ -207,8 +217,9 @@ def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_
     One is the radiance of a surface of albedo one that faces the laser, in the middle of its sheet, before any blur.
     Surfaces are Lambertian and opaque; light that falls on them twice is left out.
 
-    Light is sampled on a lattice of two or more cells a pixel over the pixels that the sheet reaches and nowhere else;
-    cells beside edges of parts, creases and shadows are divided nine times. ``ValueError`` for a blur under 0.2 px.
+    Light is sampled on a lattice over the pixels that the sheet reaches and nowhere else, at the middle of each cell;
+    cells beside edges of parts, creases and shadows are sampled every sixteenth of a pixel or finer. ``ValueError`` for a
+    blur under 0.2 px.
     """
     _check_blur(blur_px)
     columns, rows = camera.size
@@ -222,19 +233,32 @@ def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_
     mask = mask[top:bottom, left:right]
     v0, u0 = top - pad, left - pad  # the pixel of the mask's first row and column
     far = _depth(camera, scene, mask, u0, v0)
-    m = _samples(camera, laser, far, blur_px)
-    cells = np.repeat(np.repeat(mask, m, axis=0), m, axis=1)
+    mu, mv = _samples(camera, laser, far, blur_px)
+    cells = np.repeat(np.repeat(mask, mv, axis=0), mu, axis=1)
     j, i = np.nonzero(cells)
-    centre = np.stack([u0 + (i + 0.5) / m - 0.5, v0 + (j + 0.5) / m - 0.5], axis=1)
+    centre = np.stack([u0 + (i + 0.5) / mu - 0.5, v0 + (j + 0.5) / mv - 0.5], axis=1)
     values, part, normal = _radiance(camera, laser, scene, centre)
+    # the lattice has _FINE cells where one is enough, so that light at edges finds its place
+    ku, kv = (_FINE if m == 1 else 1 for m in (mu, mv))
+    lattice = np.zeros((cells.shape[0] * kv, cells.shape[1] * ku))
     edge = _edges(cells.shape, j, i, part, normal, values)
-    if edge.any():
-        step = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) / m
-        fine = centre[edge][:, None, :] + np.stack(np.meshgrid(step, step), axis=-1).reshape(1, -1, 2)
-        values[edge] = _radiance(camera, laser, scene, fine.reshape(-1, 2))[0].reshape(-1, _FINE**2).mean(axis=1)
-    lattice = np.zeros(cells.shape)
-    lattice[j, i] = values
-    found = _integrate(lattice, m, pad, blur_px)  # starts pad pixels before the mask
+    # beside an edge a long cell's light must lie along it, not in its middle
+    marked = np.zeros(cells.shape, dtype=np.uint8)
+    marked[j[edge], i[edge]] = 1
+    beside = ~edge & (cv2.dilate(marked, np.ones((1 + 4 * (kv > 1), 1 + 4 * (ku > 1)), np.uint8))[j, i] > 0)
+    j, i = j * kv, i * ku
+    plain = ~edge & ~beside
+    lattice[j[plain] + kv // 2, i[plain] + ku // 2] = values[plain] * (ku * kv)
+    for some, within in ((beside, np.array([[0.5, 0.5]])), (edge, _ROOKS)):
+        if not some.any():
+            continue
+        for y in range(kv):
+            for x in range(ku):
+                shift = np.stack([(x + within[:, 0]) / ku - 0.5, (y + within[:, 1]) / kv - 0.5], axis=1) / [mu, mv]
+                fine = (centre[some][:, None, :] + shift).reshape(-1, 2)
+                light = _radiance(camera, laser, scene, fine)[0].reshape(-1, len(within))
+                lattice[j[some] + y, i[some] + x] = light.mean(axis=1)
+    found = _integrate(lattice, (mu * ku, mv * kv), pad, blur_px)  # starts pad pixels before the mask
     v1, u1 = v0 - pad, u0 - pad
     t, s = max(v1, 0), max(u1, 0)
     b, r = min(v1 + found.shape[0], rows), min(u1 + found.shape[1], columns)
@@ -251,17 +275,15 @@ def _depth(camera: ExactCamera, scene: Scene, mask: Bools, u0: int, v0: int) -> 
     return float(np.max(hits.points[hits.found, 2], initial=1.0))
 
 
-def _integrate(lattice: Array, m: int, pad: int, blur: float) -> Array:
-    """Pixels from light on a lattice of m cells a pixel, ``pad`` pixels larger on every side."""
-    lattice = np.pad(lattice, pad * m)
-    reach = pad * m
-    taps = np.arange(-reach, reach + m)
-    kernel = _answer((taps - (m - 1) / 2) / m, blur) / m
-    return np.asarray(
-        cv2.sepFilter2D(lattice, cv2.CV_64F, kernel, kernel, anchor=(reach, reach), borderType=cv2.BORDER_CONSTANT)[
-            ::m, ::m
-        ]
+def _integrate(lattice: Array, cells: tuple[int, int], pad: int, blur: float) -> Array:
+    """Pixels from light on a lattice of ``cells`` a pixel along u and v, ``pad`` pixels larger on every side."""
+    along_u, along_v = (_answer((np.arange(-pad * m, pad * m + m) - (m - 1) / 2) / m, blur) / m for m in cells)
+    mu, mv = cells
+    lattice = np.pad(lattice, ((pad * mv, pad * mv), (pad * mu, pad * mu)))
+    filtered = cv2.sepFilter2D(
+        lattice, cv2.CV_64F, along_u, along_v, anchor=(pad * mu, pad * mv), borderType=cv2.BORDER_CONSTANT
     )
+    return np.asarray(filtered[::mv, ::mu])
 
 
 def _edges(
@@ -298,13 +320,16 @@ def speckle(shape: tuple[int, int], contrast: float, grain: float, rng: np.rando
     Log-normal with a Gaussian autocorrelation of its logarithm, ``grain`` wide at half height: close to the gamma
     distribution of averaged speckle for contrasts up to about a half. ``grain`` = 0 is white.
     """
-    sigma = grain / (4.0 * np.sqrt(np.log(2.0)))
-    reach = int(np.ceil(4.0 * sigma)) if sigma > 0.2 else 0
-    field = rng.standard_normal((shape[0] + 2 * reach, shape[1] + 2 * reach), dtype=np.float32).astype(np.float64)
-    if reach:
-        kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-        kernel /= np.linalg.norm(kernel)  # keeps the variance
-        field = cv2.sepFilter2D(field, cv2.CV_64F, kernel, kernel)[reach:-reach, reach:-reach]
+    # the kernel of one axis whose autocorrelation is the grain's: the root of its spectrum
+    size = 32 * (int(np.ceil(grain)) + 1)
+    lag = np.fft.fftfreq(size, 1.0 / size)
+    peak = np.exp(-4.0 * np.log(2.0) * (lag / grain) ** 2) if grain > 0.0 else (lag == 0.0).astype(np.float64)
+    kernel = np.fft.fftshift(np.fft.ifft(np.sqrt(np.maximum(np.fft.fft(peak).real, 0.0))).real)
+    reach = int(np.ceil(2.0 * grain)) + 3
+    kernel = kernel[size // 2 - reach : size // 2 + reach + 1]
+    kernel /= np.linalg.norm(kernel)  # keeps the variance
+    white = rng.standard_normal((shape[0] + 2 * reach, shape[1] + 2 * reach), dtype=np.float32)
+    field = cv2.sepFilter2D(white, cv2.CV_32F, kernel, kernel)[reach:-reach, reach:-reach].astype(np.float64)
     spread = np.log1p(contrast**2)
     return np.asarray(np.exp(np.sqrt(spread) * field - spread / 2.0))
 
