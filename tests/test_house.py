@@ -45,6 +45,19 @@ for words in ([], *([name] for name in commands)):
             assert stop.code == 0, (words, stop.code)
     assert "--help" in page.getvalue(), words
 """
+# Clouds to every format that needs no optional package, and back.
+EXPORT = """
+import sys, tempfile
+from pathlib import Path
+import numpy as np
+import scope
+points = np.arange(12.0).reshape(4, 3)
+with tempfile.TemporaryDirectory() as folder:
+    for ending in ("ply", "pcd", "xyz"):
+        scope.ScanCloud.from_points(points).save(Path(folder) / f"cloud.{ending}")
+        assert (Path(folder) / f"cloud.{ending}").stat().st_size > 0
+    assert np.array_equal(scope.ScanCloud.load(Path(folder) / "cloud.ply").points, points)
+"""
 REPORT = "\nimport json, sys\nprint(json.dumps(sorted(sys.modules)))\n"
 
 
@@ -156,7 +169,7 @@ def test_nothing_heavy_is_loaded_before_it_is_used(code: str) -> None:
 
 
 def test_the_library_loads_only_what_its_names_need() -> None:
-    modules = modules_after("import scope\nscope.Plane, scope.ScanCloud, scope.ScopeError")
+    modules = modules_after(EXPORT)
     assert "calibration.geometry" in modules  # the names were loaded
     assert sorted(modules & {"open3d", "trimesh", "scipy.spatial"}) == []
 
@@ -179,7 +192,9 @@ def test_the_stub_hides_open3d(without_open3d: Path) -> None:
     assert "No module named open3d" in done.stderr or "libusb" in done.stderr
 
 
-@pytest.mark.parametrize("code", [IMPORT_ALL, ALL_HELP], ids=["every public name", "scope --help"])
+@pytest.mark.parametrize(
+    "code", [IMPORT_ALL, ALL_HELP, EXPORT], ids=["every public name", "scope --help", "clouds to files"]
+)
 def test_works_without_open3d(code: str, without_open3d: Path) -> None:
     done = run(code, without_open3d)
     assert done.returncode == 0, done.stderr
