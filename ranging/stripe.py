@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from calibration.geometry import Array, Codes
+from ranging.background import Image, Noise, check_image, saturation_level, typical_noise
+from ranging.errors import RangingError
 
 Along = Literal["rows", "columns"]
+Layout: TypeAlias = tuple[int, int, int, int]  # lines, their length, steps to the next line and to the next pixel
+Method = Literal["auto", "centroid", "gaussian", "ridge"]
+Which = Literal["strongest", "first", "last", "continuous"]
+Switch = Literal["auto", "on", "off"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,6 +30,12 @@ class Stripe:
     width: Array  # (N,) px, one sigma of the stripe's profile across the line
     peak: Array  # (N,) grey levels above the background
     reason: Codes  # (N,) a Reason
+    floor: Array  # (N,) grey levels, the background under the stripe
+    asymmetry: (
+        Array  # (N,) third Hermite term of the profile over its peak; positive: the longer tail is at the higher pixels
+    )
+    noise: Noise | None = None  # of the camera, as known or estimated
+    speckle: float = 0.0  # contrast of the speckle that sigma allows for; 0 where none was recognised
 
     @property
     def pixels(self) -> Array:
@@ -29,3 +43,214 @@ class Stripe:
         lines = np.arange(len(self.position), dtype=np.float64)
         pair = (lines, self.position) if self.along == "rows" else (self.position, lines)
         return np.stack(pair, axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class StripeOptions:
+    """How a stripe is looked for and measured; grey levels and pixels of the image as given."""
+
+    method: Method = "auto"  # auto: gaussian
+    which: Which = "strongest"  # of several peaks on a line
+    gain_e: float | None = None  # electrons a grey level; None: estimated
+    read_noise: float | None = None  # grey levels; None: estimated
+    saturation: int | None = None  # grey level at which the camera clips; None: the end of the depth
+    threshold: float | None = None  # least peak above the background, grey levels; None: six times the noise
+    minimum_width: float = 0.5  # px, one sigma
+    maximum_width: float = 6.0  # px, one sigma
+    two_peaks: float = 0.8  # a second peak of this share of the strongest leaves the line without an answer
+    edge: float = 0.15  # an asymmetry beyond this is a stripe cut by an edge
+    speckle: Switch = "auto"
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.minimum_width < self.maximum_width:
+            raise ValueError("0 < minimum_width < maximum_width")
+
+
+def find_along(image: Image) -> Along:
+    """Along which axis of the image the stripe runs.
+
+    The peaks of all rows and of all columns are found. A stripe along the rows is crossed once by every column: the
+    peaks of neighbouring columns lie close together, those of neighbouring rows are noise or a long way apart.
+    """
+    check_image(image)
+    scores = {}
+    for along in ("columns", "rows"):
+        peaks = _peaks(image, image[:0], False, along, 12)  # type: ignore[arg-type]
+        place, value = peaks[0].astype(np.float64), peaks[1].astype(np.float64)
+        weight = np.minimum(value[1:], value[:-1])
+        weight = np.maximum(weight - np.percentile(value, 5), 0.0)
+        step = np.abs(np.diff(place))
+        scores[along] = float(np.sum(weight * np.maximum(0.0, 1.0 - step / 3.0)))
+    return "columns" if scores["columns"] > scores["rows"] else "rows"
+
+
+def extract(
+    image: Image, *, along: Along, options: StripeOptions | None = None, background: Image | None = None
+) -> Stripe:
+    """Sub-pixel position of the stripe on every line of a gray image.
+
+    Parameters
+    ----------
+    image : (rows, columns) uint8 or uint16
+    along : "rows" or "columns"
+        The axis along which the stripe runs; see `find_along`.
+    options : StripeOptions
+    background : (rows, columns) of the same depth
+        The scene with the laser off, subtracted.
+
+    Returns
+    -------
+    Stripe
+        One answer a line: a column where the stripe runs along rows. Lines without an answer are NaN and say why.
+
+    Raises
+    ------
+    RangingError
+        For an image of another depth or with channels, and a background that does not fit.
+    """
+    options = options or StripeOptions()
+    check_image(image)
+    if image.ndim != 2:
+        raise RangingError(f"an image with {image.shape[2]} channels; one is needed: choose a channel")
+    if background is not None and (background.shape != image.shape or background.dtype != image.dtype):
+        raise RangingError(
+            f"a laser-off image of {background.shape} {background.dtype} for a frame of {image.shape} {image.dtype}; both must be alike"
+        )
+    image = np.ascontiguousarray(image)
+    has_dark = background is not None
+    dark = np.ascontiguousarray(background) if background is not None else image[:0]
+    peaks = _peaks(image, dark, has_dark, along, int(np.ceil(2.5 * options.maximum_width)))
+    rows, columns = image.shape
+    view = _View(
+        pixels=image.ravel(),
+        dark=dark.ravel(),
+        layout=(rows, columns, columns, 1) if along == "columns" else (columns, rows, 1, columns),
+        saturation=saturation_level(image.dtype) if options.saturation is None else options.saturation,
+    )
+    measure = _METHODS[options.method]
+    noise = _known_noise(options)
+    table = measure(view, peaks[0], noise or typical_noise(image.dtype))
+    contrast = 0.0
+    if noise is None or options.speckle == "on" or (options.speckle == "auto" and _looks_speckled(table)):
+        noise, contrast = _learn(view, peaks, table, noise, options)
+    return _stripe(along, table, peaks, noise, contrast, view.saturation, options)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """An image as lines across the stripe."""
+
+    pixels: Image  # flat
+    dark: Image  # flat; empty where no laser-off image is subtracted
+    layout: Layout
+    saturation: int
+
+
+def _known_noise(options: StripeOptions) -> Noise | None:
+    if options.gain_e is None or options.read_noise is None:
+        return None
+    return Noise(options.gain_e, options.read_noise)
+
+
+def _looks_speckled(table: Array) -> bool:
+    """Whether the profiles, or the peaks of neighbouring lines, differ by more than shot and read noise explain."""
+    from ranging import stripe_gaussian as g
+
+    misfit = table[g.MISFIT]
+    good = np.isfinite(misfit)
+    if np.count_nonzero(good) < 40:
+        return False
+    peak = table[g.PEAK, good]
+    rough = np.median(np.abs(np.diff(peak)) / peak[1:])
+    return bool(np.median(misfit[good]) > 1.4 or rough > 0.06)
+
+
+def _learn(
+    view: _View, peaks: NDArray[np.int32], table: Array, noise: Noise | None, options: StripeOptions
+) -> tuple[Noise, float]:
+    """Noise and speckle of this frame; ``table`` is improved by what they tell. Returns the noise and the contrast."""
+    from ranging import stripe_gaussian as g
+    from ranging import stripe_speckle
+
+    guess = noise or typical_noise(view.pixels.dtype)
+    found = stripe_speckle.analyse(view.pixels, view.dark, view.layout, table, float(view.saturation), noise)
+    if found is None:
+        return guess, 0.0
+    learnt, speckle = found
+    learnt = Noise(options.gain_e or learnt.gain_e, learnt.read_noise if options.read_noise is None else options.read_noise)
+    if noise is None:
+        table[:] = _METHODS[options.method](view, peaks[0], learnt)
+    peak = float(np.nanmedian(table[g.PEAK]))
+    variance = learnt.read_noise**2 + 1 / 12
+    matters = speckle.contrast > 0.03 and (speckle.contrast * peak) ** 2 > 0.5 * (variance + peak / learnt.gain_e)
+    if options.method == "centroid" or options.speckle == "off" or not (matters or options.speckle == "on"):
+        return learnt, 0.0
+    before = table[g.SIGMA].copy()
+    stripe_speckle.refit_lines(
+        view.pixels, view.dark, view.layout, learnt.gain_e, variance, speckle.contrast, speckle.grain,
+        float(view.saturation), stripe_speckle.usual_widths(table), table,
+    )  # fmt: skip
+    clipped = table[g.CLIPPED] > 0  # these keep their fit, but are no better than their neighbours
+    if clipped.any() and not clipped.all():
+        table[g.SIGMA, clipped] *= np.nanmedian((table[g.SIGMA] / before)[~clipped])
+    table[g.MISFIT] = np.minimum(table[g.MISFIT], 1.0)  # the speckle, which sigma now holds
+    table[g.ASYMMETRY_SIGMA] += speckle.contrast * math.sqrt(speckle.grain)
+    return learnt, speckle.contrast
+
+
+def _stripe(
+    along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, contrast: float, saturation: int,
+    options: StripeOptions,
+) -> Stripe:  # fmt: skip
+    """The answers of a table, after its lines have been judged."""
+    from ranging import stripe_gaussian as g
+    from ranging.stripe_judge import judge
+
+    threshold = options.threshold
+    if threshold is None:
+        threshold = 6.0 * math.sqrt(noise.read_noise**2 + 1 / 12)
+    reason = np.empty(table.shape[1], np.uint8)
+    judge(
+        table, peaks, threshold, float(saturation), options.minimum_width, options.maximum_width,
+        options.two_peaks, options.edge, reason,
+    )  # fmt: skip
+    return Stripe(
+        along=along,
+        position=table[g.POSITION],
+        sigma=table[g.SIGMA],
+        width=table[g.WIDTH],
+        peak=table[g.PEAK],
+        reason=reason,
+        floor=table[g.FLOOR],
+        asymmetry=table[g.ASYMMETRY],
+        noise=noise,
+        speckle=contrast,
+    )
+
+
+def _peaks(image: Image, dark: Image, has_dark: bool, along: Along, half: int) -> NDArray[np.int32]:
+    """(3, lines): place and value of the highest pixel, and the highest value farther than ``half`` from it."""
+    from ranging import kernels
+
+    if along == "columns":
+        out = np.empty((3, image.shape[0]), np.int32)
+        kernels.peaks_of_rows(image, dark, has_dark, half, out)
+    else:
+        out = np.empty((3, image.shape[1]), np.int32)
+        kernels.peaks_of_columns(image, dark, has_dark, half, out)
+    return out
+
+
+def _gaussian(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
+    """Maximum likelihood of a Gaussian profile: at the bound of Cramer and Rao for shot and read noise."""
+    from ranging import stripe_gaussian as g
+
+    table = np.empty((g.ROWS, view.layout[0]))
+    variance = noise.read_noise**2 + 1 / 12
+    g.fit_lines(view.pixels, view.dark, view.layout, place, noise.gain_e, variance, float(view.saturation), table)
+    return table
+
+
+_METHODS: dict[str, Callable[[_View, NDArray[np.int32], Noise], Array]] = {"auto": _gaussian, "gaussian": _gaussian}
+
+

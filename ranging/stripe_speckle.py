@@ -1,0 +1,308 @@
+"""Speckle: multiplicative noise, correlated from pixel to pixel, recognised and weighed.
+
+Coherent light on a rough surface, and texture of the surface itself, multiply the stripe by a random field of mean 1,
+contrast C and correlation rho(d) = exp(-(d / grain)^2) (Goodman, Speckle Phenomena in Optics, 2007, chapters 2 and 4;
+Dorsch, Hausler & Herrmann, Appl. Opt. 33, 1306, 1994, for its effect on the centroid). The weight that is best against
+shot noise is then worse than a plain centre of mass. Here the covariance of a line's pixels is
+
+    S_ij = delta_ij (read^2 + 1/12 + m_i / gain) + C^2 m_i m_j rho(i - j),    m = A exp(-(x - p)^2 / 2 s^2),
+
+and the parameters of the line follow from generalised least squares under it (quasi-likelihood: Wedderburn, Biometrika
+61, 439, 1974). C, grain, gain and read noise themselves are read from how the pixels of neighbouring lines differ.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.geometry import Array, Bools
+from ranging.background import Noise
+from ranging.kernels import Pixels, compiled
+from ranging.stripe_gaussian import FAR, FLOOR, GOOD, LONGEST, PEAK, POSITION, SIGMA, STATE, WIDTH
+
+GRAINS = (0.3, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # px, trial values of the correlation length
+LAGS = 5  # px, farthest products of residuals that are looked at
+REACH = 9  # px, half window of the analysis
+LEAST_LINES = 40  # lines, fewer tell nothing about the noise
+
+
+@dataclass(frozen=True, slots=True)
+class Speckle:
+    """Multiplicative noise of a stripe."""
+
+    contrast: float  # standard deviation over mean, after integration over a pixel
+    grain: float  # px, 1/e length of the correlation across the stripe
+
+
+@compiled
+def refit_lines(
+    pixels: Pixels,
+    dark: Pixels,
+    layout: tuple[int, int, int, int],
+    gain_e: float,
+    variance: float,
+    contrast: float,
+    grain: float,
+    saturation: float,
+    usual_width: Array,
+    table: Array,
+) -> None:
+    """Fit the lines that are GOOD in ``table`` again, under the covariance of speckle.
+
+    A grain can pass for a narrow stripe: where the width is less than two thirds of the ``usual_width`` (N,) px, the
+    line starts anew from the centre of mass of the usual width. Lines with clipped pixels keep their fit. Sigma becomes
+    that of the covariance S.
+    """
+    count, length, line_step, pixel_step = layout
+    has_dark = dark.size > 0
+    most = LONGEST
+    y = np.empty(most)
+    rows = np.empty((5, most))
+    low = np.empty((most, most))
+    alike = np.empty(most)
+    for d in range(most):
+        alike[d] = contrast * contrast * math.exp(-((d / grain) ** 2))
+    f = np.empty((4, 4))
+    t = np.empty(4)
+    for i in range(count):
+        if table[STATE, i] != GOOD:
+            continue
+        p, s, a, b = table[POSITION, i], table[WIDTH, i], table[PEAK, i], table[FLOOR, i]
+        if s < 0.67 * usual_width[i] or s > 1.5 * usual_width[i]:
+            s = usual_width[i]
+            for _ in range(3):
+                total, moment = 0.0, 0.0
+                for j in range(max(0, int(p - 2.0 * s + 0.5)), min(length, int(p + 2.0 * s + 1.5))):
+                    at = i * line_step + j * pixel_step
+                    value = np.float64(pixels[at]) - b
+                    if has_dark:
+                        value -= dark[at]
+                    total += max(value, 0.0)
+                    moment += max(value, 0.0) * j
+                if total > 0.0:
+                    p = moment / total
+            a = total / (2.4 * s)
+        wing = min(FAR, int(3.5 * s) + 2)
+        middle = int(p + 0.5)
+        first, last = max(0, middle - wing), min(length - 1, middle + wing)
+        n = last - first + 1
+        if n < 7:
+            continue
+        clipped = False
+        for k in range(n):
+            at = i * line_step + (first + k) * pixel_step
+            clipped = clipped or pixels[at] >= saturation
+            y[k] = pixels[at]
+            if has_dark:
+                y[k] -= dark[at]
+        if clipped:
+            continue
+        good = True
+        for _ in range(6):
+            for k in range(n):
+                u = (first + k - p) / s
+                g = math.exp(-0.5 * u * u)
+                rows[0, k] = a * g * u / s
+                rows[1, k] = g
+                rows[2, k] = a * g * u * u / s
+                rows[3, k] = 1.0
+                rows[4, k] = y[k] - b - a * g
+            # Cholesky factor of the covariance, and the whitened derivatives and residuals.
+            for k in range(n):
+                for j in range(k + 1):
+                    total = alike[k - j] * a * a * rows[1, k] * rows[1, j]
+                    if j == k:
+                        total += variance + a * rows[1, k] / gain_e
+                    for q in range(j):
+                        total -= low[k, q] * low[j, q]
+                    low[k, j] = math.sqrt(total) if j == k else total / low[j, j]
+            for r in range(5):
+                for k in range(n):
+                    total = rows[r, k]
+                    for q in range(k):
+                        total -= low[k, q] * rows[r, q]
+                    rows[r, k] = total / low[k, k]
+            for r in range(4):
+                t[r] = 0.0
+                for k in range(n):
+                    t[r] += rows[r, k] * rows[4, k]
+                for c in range(4):
+                    f[r, c] = 0.0
+                    for k in range(n):
+                        f[r, c] += rows[r, k] * rows[c, k]
+            good = _solve(f, t)
+            if not good:
+                break
+            step = min(max(t[0], -s), s)
+            p += step
+            a = max(a + t[1], 0.3 * a)
+            s = min(max(s + t[2], 0.7 * s), 1.4 * s)
+            b += t[3]
+            if abs(p - middle) > wing:
+                good = False
+                break
+            if abs(step) < 0.002 * s and abs(t[2]) < 0.01 * s:
+                break
+        if good:
+            table[POSITION, i] = p
+            table[SIGMA, i] = math.sqrt(f[0, 0])
+            table[WIDTH, i] = s
+            table[PEAK, i] = a
+            table[FLOOR, i] = b
+
+
+@compiled
+def _solve(f: Array, t: Array) -> bool:
+    """Replace the symmetric f (4, 4) by its inverse and t by f^-1 t (Gauss-Jordan); False where f is singular."""
+    for r in range(4):
+        pivot = f[r, r]
+        if not pivot > 1e-12:
+            return False
+        f[r, r] = 1.0
+        for c in range(4):
+            f[r, c] /= pivot
+        t[r] /= pivot
+        for o in range(4):
+            if o == r:
+                continue
+            factor = f[o, r]
+            f[o, r] = 0.0
+            for c in range(4):
+                f[o, c] -= factor * f[r, c]
+            t[o] -= factor * t[r]
+    return True
+
+
+def usual_widths(table: Array) -> Array:
+    """Running median (N,) px of the widths of the lines that have one, carried over to those between."""
+    good = np.flatnonzero(np.isfinite(table[WIDTH]))
+    if len(good) == 0:
+        return np.ones(table.shape[1])
+    return np.asarray(np.interp(np.arange(table.shape[1]), good, running_median(table[WIDTH, good])))
+
+
+def analyse(
+    pixels: Pixels, dark: Pixels, layout: tuple[int, int, int, int], table: Array, saturation: float, known: Noise | None
+) -> tuple[Noise, Speckle] | None:
+    """Noise of the camera and speckle of the light, from how a stripe differs from its own running median.
+
+    Amplitude, width and floor of every line are replaced by their medians over neighbouring lines, the position is its
+    own: what the pixels then leave over has the covariance S above, less the part that the position took up. Products of
+    residuals up to ``LAGS`` pixels apart are linear in read^2, 1 / gain and C^2 for every grain, and are solved for all
+    three (or for C alone where the noise is ``known``).
+
+    Returns ``None`` where fewer than ``LEAST_LINES`` lines are usable.
+    """
+    count, length, line_step, pixel_step = layout
+    good = np.flatnonzero((table[STATE] == GOOD) & (table[PEAK] > 0) & np.isfinite(table[SIGMA]))
+    if len(good) < LEAST_LINES:
+        return None
+    if len(good) > 768:
+        start = (len(good) - 768) // 2
+        good = good[start : start + 768]
+    p = table[POSITION, good]
+    smooth = {row: running_median(table[row, good]) for row in (PEAK, WIDTH, FLOOR)}
+    s = smooth[WIDTH]
+    steady = (np.abs(table[PEAK, good] / smooth[PEAK] - 1) < 1.5) & (np.abs(table[WIDTH, good] / s - 1) < 0.8)
+    middle = np.rint(p).astype(np.int64)
+    steady &= (middle >= REACH) & (middle < length - REACH) & (smooth[PEAK] > 0)
+    offsets = np.arange(-REACH, REACH + 1)
+    where = middle[:, None] + offsets
+    at = good[:, None] * line_step + np.clip(where, 0, length - 1) * pixel_step
+    y = pixels[at].astype(np.float64)
+    steady &= (y < saturation).all(axis=1)
+    if dark.size:
+        y -= dark[at]
+    if np.count_nonzero(steady) < LEAST_LINES:
+        return None
+    u = (where - p[:, None]) / s[:, None]
+    m = smooth[PEAK][:, None] * np.exp(-0.5 * u * u)
+    left = (y - smooth[FLOOR][:, None] - m)[steady]
+    peak, width = float(np.median(smooth[PEAK][steady])), float(np.median(s[steady]))
+    # A constant shape that is not Gaussian is no noise.
+    left -= np.median(left, axis=0)
+    scale = (peak / smooth[PEAK][steady])[:, None]
+    left *= scale
+    products = np.zeros((LAGS, 2 * REACH + 1))
+    for d in range(LAGS):
+        both = left[:, : 2 * REACH + 1 - d] * left[:, d:]
+        products[d, : 2 * REACH + 1 - d] = _trimmed_mean(both)
+    return _solve_noise(products, peak, width, known)
+
+
+def _solve_noise(products: Array, peak: float, width: float, known: Noise | None) -> tuple[Noise, Speckle]:
+    """Read noise, gain, contrast and grain that explain mean products of residuals (LAGS, pixels)."""
+    x = np.arange(-REACH, REACH + 1)
+    u = x / width
+    g = np.exp(-0.5 * u * u)
+    m = peak * g
+    slope = m * u / width
+    n = len(x)
+    valid = np.arange(n)[None, :] + np.arange(LAGS)[:, None] < n
+
+    def spread(cov: Array, weight: Array) -> Array:
+        taken = weight * slope / np.sum(weight * slope * slope)
+        left = np.eye(n) - np.outer(slope, taken)
+        cov = left @ cov @ left.T
+        out = np.zeros((LAGS, n))
+        for d in range(LAGS):
+            out[d, : n - d] = np.diagonal(cov, d)
+        return out
+
+    guess = known or Noise(30.0, 1.2)
+    fit_weight = 1.0 / (guess.read_noise**2 + 1 / 12 + m / guess.gain_e)
+    constant, linear = spread(np.eye(n), fit_weight), spread(np.diag(m), fit_weight)
+    best = (math.inf, guess, Speckle(0.0, 1.0))
+    for grain in GRAINS:
+        rho = np.exp(-(((x[:, None] - x[None, :]) / grain) ** 2))
+        square = spread(rho * np.outer(m, m), fit_weight)
+        total = np.maximum(products[0], 1e-3)
+        for _ in range(3):
+            weight = 1.0 / np.sqrt(total[None, :] * np.stack([np.roll(total, -d) for d in range(LAGS)]))
+            use = valid
+            columns = [square[use]] if known else [constant[use], linear[use], square[use]]
+            target = products[use]
+            if known:
+                target = target - (known.read_noise**2 + 1 / 12) * constant[use] - linear[use] / known.gain_e
+            design = np.stack(columns, axis=1) * weight[use][:, None]
+            answer = _nonnegative(design, target * weight[use])
+            found = np.array([known.read_noise**2 + 1 / 12, 1 / known.gain_e, answer[0]]) if known else answer
+            total = np.maximum(found[0] * constant[0] + found[1] * linear[0] + found[2] * square[0], 1e-3)
+        misfit = float(np.sum((design @ answer - target * weight[use]) ** 2))
+        if misfit < best[0]:
+            noise = known or Noise(1.0 / max(found[1], 1e-4), math.sqrt(max(found[0] - 1 / 12, 0.04)))
+            best = (misfit, noise, Speckle(math.sqrt(max(found[2], 0.0)), grain))
+    return best[1], best[2]
+
+
+def _nonnegative(design: Array, target: Array) -> Array:
+    """Least squares with no negative entry: negative entries are struck out one after the other."""
+    active = np.ones(design.shape[1], dtype=bool)
+    answer = np.zeros(design.shape[1])
+    while active.any():
+        answer[:] = 0.0
+        answer[active] = np.linalg.lstsq(design[:, active], target, rcond=None)[0]
+        if (answer >= 0.0).all():
+            break
+        active[int(np.argmin(answer))] = False
+        answer = np.maximum(answer, 0.0)
+    return answer
+
+
+def running_median(values: Array, half: int = 10) -> Array:
+    """Median over 2 half + 1 neighbours, mirrored at the ends; fewer where there are fewer."""
+    half = min(half, max(0, len(values) - 1))
+    padded = np.pad(values, half, mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+    return np.asarray(np.median(windows, axis=1))
+
+
+def _trimmed_mean(values: Array, share: float = 0.005) -> Array:
+    """Mean of each column without its ``share`` lowest and highest values."""
+    cut = int(len(values) * share)
+    ordered = np.sort(values, axis=0)
+    return np.asarray(ordered[cut : len(values) - cut].mean(axis=0))
