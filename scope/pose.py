@@ -11,7 +11,7 @@ from calibration.geometry import Array, Ints, Pose
 from scope import segmentation
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
-from scope.pose_decision import CAP, Evidence, margin, same_answer, weigh
+from scope.pose_decision import CAP, MISSING, Evidence, margin, same_answer, weigh
 from scope.pose_light import Light, light_of
 from scope.pose_model import Model, Surface
 from scope.pose_refine import refine
@@ -28,7 +28,7 @@ class PoseOptions:
     starts: int = 800  # orientations tried
     candidates: int = 8  # poses weighed against each other
     least_explained: float = 0.6  # share of the points that must lie on the model (a clamp may hide and add some)
-    least_covered: float = 0.6  # share of the surface that should have been seen and was
+    least_covered: float = 0.75  # share of the surface that should have been seen and was
     most_blocked: float = 0.05  # share of the points seen through the model
     several: bool = True  # look for further equal parts
 
@@ -163,7 +163,8 @@ def _locate(cloud: ScanCloud, rows: Ints, model: Model, surface: Surface, option
     sigma = _sigma(cloud, rows)
     others = np.delete(cloud.points, rows, axis=0)
     light = light_of(cloud, others[thin(others, spacing)] if len(others) else others, voxel=1.5 * spacing)
-    poses, cost = search(model, view, starts=options.starts)
+    uncovered = None if light is None else lambda pose: light.uncovered(surface, pose, model.samples[::40], model.normals[::40])
+    poses, cost = search(model, view, starts=options.starts, uncovered=uncovered)
     poses, cost = _with_likenesses(model, view, poses, cost)
     weighed = _weigh_all(model, surface, view, sigma[chosen], light, poses, options, spacing)
     return _decide(cloud, rows, model, surface, weighed, view, sigma, camera, light, options)
@@ -231,6 +232,10 @@ def _weigh_all(
         quick.append(float(np.minimum(gap**2 / (2 * variance), CAP).sum()))
     order = np.argsort(quick)
     near = [k for n, k in enumerate(order) if n < 3 or quick[k] < quick[order[0]] + 0.15 * CAP * len(sigma)]
+    if light is not None and len(near) > options.candidates:
+        samples, normals = model.samples[::18], model.normals[::18]
+        missing = [len(sigma) * light.uncovered(surface, poses[k], samples, normals) for k in near]
+        near = [near[i] for i in np.argsort([quick[k] + MISSING * m for k, m in zip(near, missing, strict=True)])]
     few = slice(0, 2500)
     camera = None if view.camera is None else view.camera[few]
     reach = (0.01 * d, 0.008 * d, 0.006 * d, 0.005 * d, max(1.0, 0.003 * d), max(1.0, 0.003 * d))

@@ -79,6 +79,11 @@ class Light:
                 wanted[rows] = ~self._hidden(at[rows], eye[rows], blocks)
         return wanted
 
+    def uncovered(self, surface: Surface, pose: Pose, samples: Array, normals: Array) -> float:
+        """Share of the samples expected at ``pose`` that no point of the scan covers; 1 where none is expected."""
+        wanted = self.expected(surface, pose, samples, normals, np.zeros((0, 3)))
+        return 1.0 - float(self.covered(pose.apply(samples[wanted])).mean()) if wanted.any() else 1.0
+
     def covered(self, points: Array) -> Bools:
         """Whether places (N, 3) have a point of the scan nearby."""
         return np.asarray(np.isfinite(self.tree.query(points, distance_upper_bound=self.reach)[0]))

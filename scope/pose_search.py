@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,11 +60,28 @@ def normals_of(points: Array, at: Array, camera: Array | None, *, radius: float)
     return np.where(flat[:, None], normal, 0.0)
 
 
-def search(model: Model, view: View, *, starts: int = 1000, keep: int = 40) -> tuple[list[Pose], Array]:
+def search(
+    model: Model,
+    view: View,
+    *,
+    starts: int = 1000,
+    keep: int = 40,
+    uncovered: Callable[[Pose], float] | None = None,
+) -> tuple[list[Pose], Array]:
     """Poses cloud_from_model worth refining, best first, and their costs (0: all points explained, 1: none).
 
     Starts lie evenly over all orientations; each puts the middle of the surface that a camera would see in this orientation
-    onto the middle of the scan. Two batches of Gauss-Newton steps follow, on a coarse and on a fine distance grid.
+    onto the middle of the scan. Three batches of Gauss-Newton steps follow, on a coarse and on a fine distance grid.
+
+    Parameters
+    ----------
+    model, view : Model, View
+        The part and the thinned scan of it.
+    starts, keep : int
+        Orientations tried; poses that reach the last batch.
+    uncovered : callable, optional
+        Share of the surface that should have been seen at a pose cloud_from_model and was not. It is asked only where more
+        poses than ``keep`` explain the points alike: a small face fits anywhere on a large one.
     """
     points = view.points
     middle = points.mean(axis=0)
@@ -80,15 +98,20 @@ def search(model: Model, view: View, *, starts: int = 1000, keep: int = 40) -> t
     p, n = np.ascontiguousarray(points[few]), np.ascontiguousarray(view.normals[few])
     reach = d * np.array([0.2, 0.2, 0.15, 0.15, 0.1, 0.1, 0.08, 0.06, 0.05, 0.04])
     rough = align(model.coarse, p, n, start, shift, reach)
-    kept = distinct_in_cloud(rough.rotation, rough.translation, rough.cost, middle, 0.12, 0.04 * d)[: 4 * keep]
+    kept = distinct(rough.rotation, rough.translation, rough.cost, middle, 0.12, 0.04 * d)[: 4 * keep]
     reach = d * np.array([0.05, 0.04, 0.03, 0.02, 0.02, 0.015])
     mid = align(model.fine, p, n, rough.rotation[kept], rough.translation[kept], reach)
-    kept = distinct_in_cloud(mid.rotation, mid.translation, mid.cost, middle, 0.05, 0.02 * d)[:keep]
+    kept = distinct(mid.rotation, mid.translation, mid.cost, middle, 0.05, 0.02 * d)
+    alike = kept[mid.cost[kept] < mid.cost[kept[0]] + 0.08]
+    if uncovered is not None and len(alike) > keep // 2:
+        missing = np.array([uncovered(Pose(mid.rotation[i], mid.translation[i]).inverse) for i in alike])
+        kept = np.concatenate([alike[np.argsort(mid.cost[alike] + missing, kind="stable")], kept[len(alike) :]])
+    kept = kept[:keep]
     many = _some(len(points), 1500)
     p, n = np.ascontiguousarray(points[many]), np.ascontiguousarray(view.normals[many])
     reach = d * np.array([0.02, 0.015, 0.012, 0.01, 0.01, 0.01])
     done = align(model.fine, p, n, mid.rotation[kept], mid.translation[kept], reach)
-    order = distinct_in_cloud(done.rotation, done.translation, done.cost, middle, 0.03, 0.012 * d)
+    order = distinct(done.rotation, done.translation, done.cost, middle, 0.03, 0.012 * d)
     return [Pose(done.rotation[i], done.translation[i]).inverse for i in order], done.cost[order]
 
 
@@ -102,13 +125,6 @@ def polish(model: Model, view: View, poses: list[Pose]) -> tuple[list[Pose], Arr
     reach = model.diameter * np.array([0.03, 0.02, 0.02, 0.015, 0.012, 0.01, 0.01, 0.01])
     done = align(model.fine, p, n, rotation, translation, reach)
     return [Pose(r, t).inverse for r, t in zip(done.rotation, done.translation, strict=True)], done.cost
-
-
-def distinct_in_cloud(
-    rotation: Array, translation: Array, cost: Array, middle: Array, turn: float, shift: float
-) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """`distinct` for poses model_from_cloud, compared where the scan is."""
-    return distinct(rotation, translation, cost, middle, turn, shift)
 
 
 def _some(count: int, wanted: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
