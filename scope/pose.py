@@ -14,7 +14,8 @@ from scope.errors import MeasurementError
 from scope.pose_decision import CAP, MISSING, Evidence, margin, same_answer, weigh
 from scope.pose_light import Light, light_of
 from scope.pose_model import Model, Surface
-from scope.pose_refine import refine
+from scope.pose_hold import hold
+from scope.pose_refine import evaluate, refine
 from scope.pose_search import View, normals_of, polish, search, thin
 from scope.pose_uncertainty import Uncertainty, shared_errors, uncertainty
 from scope.region import Region
@@ -26,7 +27,7 @@ class PoseOptions:
 
     tolerance: float = 0.05  # mm, one sigma: by how much the part may differ from its mesh
     starts: int = 800  # orientations tried
-    candidates: int = 8  # poses weighed against each other
+    candidates: int = 10  # poses weighed against each other
     least_explained: float = 0.6  # share of the points that must lie on the model (a clamp may hide and add some)
     least_covered: float = 0.75  # share of the surface that should have been seen and was
     most_blocked: float = 0.05  # share of the points seen through the model
@@ -272,6 +273,15 @@ def _decide(
     known = uncertainty(
         fit, points, camera, cloud.sigma_cal[rows], parameters, centre=middle, radius=model.diameter / 2
     )
+    if len(known.loose) and not _of_axis(model, fit.pose, known):
+        settled = hold(surface, fit.pose, known.loose_motions, points[fit.used], sigma[fit.used], middle, model.diameter / 2)
+        if settled is not None:
+            rows_held = known.loose_motions / (0.5 * settled[1])[:, None]
+            fit = evaluate(surface, settled[0], points, sigma, camera, cut=reach, floor=0.0)
+            known = uncertainty(
+                fit, points, camera, cloud.sigma_cal[rows], parameters,
+                centre=middle, radius=model.diameter / 2, held=rows_held,
+            )  # fmt: skip
     rmse = float(np.sqrt(np.mean(fit.residual[fit.used] ** 2))) if fit.used.any() else float("nan")
     axis = None
     if model.axis is not None:
@@ -329,7 +339,7 @@ def _verdict(
 
         tell = what_differs(model, best.pose, rival.pose, view)
         return f"two poses explain the scan alike ({score:.0f} nats apart)", True, tell, score
-    loose = [w for w in known.loose if not _of_axis(model, best.pose, known)]
+    loose = () if _of_axis(model, best.pose, known) else known.loose
     if loose:
         text = f"the scan does not hold the part: it {' and '.join(loose)}"
         return text, True, "scan a part of it that stops this motion", score

@@ -9,7 +9,7 @@ import numpy as np
 from calibration.geometry import Array
 from scope.pose_refine import Fit
 
-LOOSE_MM = 0.5  # a direction known worse than this (or its turn at half a diameter) is not determined
+LOOSE_MM = 0.12  # a direction known worse than this (or its turn at half a diameter) is not determined
 PRIOR_MM = 100.0  # a direction that nothing holds is given about this much
 
 
@@ -33,6 +33,7 @@ def uncertainty(
     *,
     centre: Array,
     radius: float,
+    held: Array | None = None,
 ) -> Uncertainty:
     """Covariance of a refined pose.
 
@@ -49,6 +50,9 @@ def uncertainty(
         Without it all points are taken to move together, each by its ``sigma_cal``.
     centre, radius : (3,) mm, mm
         Middle of the part in the cloud and half its diameter: a turn is judged by what it moves there.
+    held : (L, 6), optional
+        Further rows of the linear system in these units, each divided by its standard deviation (mm): motions that the
+        borders of the surface stop (`scope.pose_hold`).
 
     Notes
     -----
@@ -61,14 +65,15 @@ def uncertainty(
     # parameters at the middle of the part and in mm: (shift of the middle, turn times radius)
     to_origin = _shift_reference(centre - fit.pose.translation)
     js = (j @ to_origin) * scale
-    h = js.T @ (w[:, None] * js)
+    extra = np.zeros((0, 6)) if held is None else held
+    h = js.T @ (w[:, None] * js) + extra.T @ extra
     value, vector = np.linalg.eigh(h)
     held = value > len(w) * 1e-12 * value[-1]
     spread = np.where(held, 1 / np.sqrt(np.maximum(value, 1e-300)), PRIOR_MM)
     spread = np.minimum(spread, PRIOR_MM)
     inverse = (vector * spread**2) @ vector.T
     a = inverse @ (js * w[:, None]).T  # (6, N)
-    random = (a * variance) @ a.T + (vector * np.where(spread >= PRIOR_MM, PRIOR_MM**2, 0.0)) @ vector.T
+    random = (a * variance) @ a.T + inverse @ extra.T @ extra @ inverse + (vector * np.where(spread >= PRIOR_MM, PRIOR_MM**2, 0.0)) @ vector.T
     shared = np.zeros((6, 6))
     if camera is not None:
         ray = points[used] - camera[used]
@@ -79,7 +84,7 @@ def uncertainty(
         move = a @ (along[:, None] * basis)  # (6, K)
         shared = move @ move.T
     total = random + shared
-    loose_motions, words = _loose(random, radius)
+    loose_motions, words = _loose(random)
     unscale = to_origin * scale  # back to the model's origin, rad
     back = lambda c: unscale @ c @ unscale.T  # noqa: E731
     return Uncertainty(back(total), back(random), back(shared), words, loose_motions)
@@ -128,7 +133,7 @@ def _shift_reference(arm: Array) -> Array:
     return m
 
 
-def _loose(covariance: Array, radius: float) -> tuple[Array, tuple[str, ...]]:
+def _loose(covariance: Array) -> tuple[Array, tuple[str, ...]]:
     value, vector = np.linalg.eigh(covariance)
     motions = vector.T[np.sqrt(np.maximum(value, 0.0)) > LOOSE_MM]
     words = []
@@ -137,5 +142,4 @@ def _loose(covariance: Array, radius: float) -> tuple[Array, tuple[str, ...]]:
         kind, direction = ("slides along", shift) if np.linalg.norm(shift) > np.linalg.norm(turn) else ("turns about", turn)
         unit = direction / max(float(np.linalg.norm(direction)), 1e-12)
         words.append(f"{kind} ({unit[0]:.2f}, {unit[1]:.2f}, {unit[2]:.2f})")
-    del radius
     return motions, tuple(words)
