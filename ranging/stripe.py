@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.geometry import Array, Codes
 from ranging.background import Image, Noise, check_image, saturation_level, typical_noise

@@ -106,7 +106,7 @@ def _along(images: list[Image], darks: list[Image | None]) -> Along:
         find_along(image if dark is None else np.asarray(cv2.subtract(image, dark)))
         for image, dark in zip(images, darks, strict=True)
     ]
-    return max(("rows", "columns"), key=votes.count)  # type: ignore[return-value]
+    return max(("rows", "columns"), key=votes.count)
 
 
 def _on_target(stripe: Stripe, marks: PlaneMarks) -> Bools:

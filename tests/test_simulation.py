@@ -627,9 +627,9 @@ class TestSession:
         assert turned.actual[0].apply(arm) == pytest.approx(expected)
         assert np.array_equal(turned.actual[1].matrix, turned.stated[1].matrix)
 
-    @pytest.mark.parametrize("name", ["rig-design.toml", "window-design.toml"])
+    @pytest.mark.parametrize("name", ["scope/demo_rig.toml", "examples/window-design.toml"])
     def test_the_examples_stand(self, name):
-        rig = VirtualRig.of(read_design(ROOT / "examples" / name))
+        rig = VirtualRig.of(read_design(ROOT / name))
         assert len(rig.design.jig.stand_offs) >= 4
         for pose in rig.actual:  # all of the grid is in view
             seen = project(rig.camera, pose.apply(rig.corners))
