@@ -20,7 +20,7 @@ from scope.solids import Scene
 
 _REACH = 4.5  # standard deviations of light or blur, beyond which there is none
 # where a cell beside an edge is sampled: no two samples share a row or a column, so that upright edges fall between all
-_ROOKS = (np.stack([np.arange(8), 3 * np.arange(8) % 8], axis=1) + 0.5) / 8
+_ROOKS = (np.stack([np.arange(16), 7 * np.arange(16) % 16], axis=1) + 0.5) / 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +209,8 @@ def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_
     Surfaces are Lambertian and opaque; light that falls on them twice is left out.
 
     Light is sampled on a lattice over the pixels that the sheet reaches and nowhere else, at the middle of each cell;
-    cells beside edges of parts, creases and shadows are sampled every sixteenth of a pixel or finer. ``ValueError`` for a
+    cells beside edges of parts, creases and shadows are sampled sixteen times. There
+    pixels err by up to 4 % of the peak where an edge runs along them, elsewhere by less than 0.1 %. ``ValueError`` for a
     blur under 0.2 px.
     """
     _check_blur(blur_px)
