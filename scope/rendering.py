@@ -209,9 +209,9 @@ def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_
     Surfaces are Lambertian and opaque; light that falls on them twice is left out.
 
     Light is sampled on a lattice over the pixels that the sheet reaches and nowhere else, at the middle of each cell;
-    cells beside edges of parts, creases and shadows are sampled sixteen times. There
-    pixels err by up to 4 % of the peak where an edge runs along them, elsewhere by less than 0.1 %. ``ValueError`` for a
-    blur under 0.2 px.
+    cells beside edges of parts, creases and shadows are sampled sixteen times, and their light is put in
+    their middle: there pixels err by up to 2 % of the peak, elsewhere by less than 0.1 %. ``ValueError`` for a blur
+    under 0.2 px.
     """
     _check_blur(blur_px)
     columns, rows = camera.size
@@ -235,8 +235,8 @@ def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_
     lattice[j[~edge], i[~edge]] = values[~edge]
     if edge.any():
         fine = centre[edge][:, None, :] + (_ROOKS - 0.5) / m
-        light = _radiance(camera, laser, scene, fine.reshape(-1, 2))[0].reshape(-1, len(_ROOKS)) / len(_ROOKS)
-        lattice += _shared(cells.shape, j[edge], i[edge], light)
+        light = _radiance(camera, laser, scene, fine.reshape(-1, 2))[0].reshape(-1, len(_ROOKS))
+        lattice[j[edge], i[edge]] = light.mean(axis=1)
     found = _integrate(lattice, m, pad, blur_px)  # starts pad pixels before the mask
     v1, u1 = v0 - pad, u0 - pad
     t, s = max(v1, 0), max(u1, 0)
@@ -252,20 +252,6 @@ def _depth(camera: ExactCamera, scene: Scene, mask: Bools, u0: int, v0: int) -> 
     some = np.linspace(0, len(u) - 1, min(len(u), 200)).astype(np.int64)
     hits = scene.cast(exact_rays(camera, np.stack([u[some] + u0, v[some] + v0], axis=1).astype(np.float64)))
     return float(np.max(hits.points[hits.found, 2], initial=1.0))
-
-
-def _shared(shape: tuple[int, ...], j: NDArray[np.intp], i: NDArray[np.intp], light: Array) -> Array:
-    """Lattice (rows, columns) of light (N, samples) in cells (j, i), shared among the nearest four by distance.
-
-    A sample's light keeps its first moment, so that the end of a stripe stays where it is within its cell.
-    """
-    rows, columns = shape[0] + 2, shape[1] + 2
-    lattice = np.zeros(rows * columns)
-    for (x, y), value in zip(_ROOKS - 0.5, light.T, strict=True):
-        for dj, wj in ((0, 1.0 - abs(y)), (int(np.sign(y)), abs(y))):
-            for di, wi in ((0, 1.0 - abs(x)), (int(np.sign(x)), abs(x))):
-                lattice[(j + 1 + dj) * columns + i + 1 + di] += wj * wi * value  # no cell twice in one of these sums
-    return lattice.reshape(rows, columns)[1:-1, 1:-1]
 
 
 def _integrate(lattice: Array, m: int, pad: int, blur: float) -> Array:

@@ -252,7 +252,7 @@ class TestStripes:
         brute = blurred.reshape(68, fine, 48, fine).mean(axis=(1, 3))[pad:-pad, pad:-pad]
         assert len(np.unique(hits.part)) == 2
         assert brute.max() > 0.5
-        assert np.abs(image - brute).max() < 0.04
+        assert np.abs(image - brute).max() < 0.02
         assert np.abs(image - brute).mean() < 1e-3
 
     def test_truth_stands_on_sheet_solid_and_line_and_the_image_agrees(self):
