@@ -78,7 +78,9 @@ def _shot(plane: PlanePlan, marks: PlaneMarks, laser: str, size: tuple[int, int]
     return _Shot(plane, marks, image, dark)
 
 
-def _fit(plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_Shot]) -> tuple[Laser, list[LaserView]]:
+def _fit(
+    plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_Shot], *, curved: bool | None
+) -> tuple[Laser, list[LaserView]]:
     has_dark = all(shot.background is not None for shot in shots)
     channel = choose_channel([shot.image for shot in shots], laser.channel, laser_off=has_dark)
     grays = [to_gray(shot.image, channel) for shot in shots]
