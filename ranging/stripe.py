@@ -174,29 +174,32 @@ def _learn(
     from ranging import stripe_speckle
 
     guess = noise or typical_noise(view.pixels.dtype)
-    found = stripe_speckle.analyse(view.pixels, view.dark, view.layout, table, float(view.saturation), noise)
+    found = stripe_speckle.leftover(view.pixels, view.dark, view.layout, table, float(view.saturation))
     if found is None:
         return guess, 0.0
-    learnt, speckle = found
+    learnt, speckle = stripe_speckle.analyse(found, noise)
     learnt = Noise(options.gain_e or learnt.gain_e, learnt.read_noise if options.read_noise is None else options.read_noise)
     if noise is None:
         table[:] = _METHODS[options.method](view, peaks[0], learnt)
-    peak = float(np.nanmedian(table[g.PEAK]))
-    variance = learnt.read_noise**2 + 1 / 12
-    matters = speckle.contrast > 0.03 and (speckle.contrast * peak) ** 2 > 0.5 * (variance + peak / learnt.gain_e)
-    if options.method == "centroid" or options.speckle == "off" or not (matters or options.speckle == "on"):
+    if options.method == "centroid" or options.speckle == "off":
+        return learnt, 0.0
+    contrast = stripe_speckle.local_contrast(found, learnt, speckle.grain, table.shape[1])
+    if options.speckle == "on":
+        contrast = np.maximum(contrast, max(speckle.contrast, 0.05))
+    if not contrast.any():
         return learnt, 0.0
     before = table[g.SIGMA].copy()
     stripe_speckle.refit_lines(
-        view.pixels, view.dark, view.layout, learnt.gain_e, variance, speckle.contrast, speckle.grain,
+        view.pixels, view.dark, view.layout, learnt.gain_e, learnt.read_noise**2 + 1 / 12, contrast, speckle.grain,
         float(view.saturation), stripe_speckle.usual_widths(table), table,
     )  # fmt: skip
-    clipped = table[g.CLIPPED] > 0  # these keep their fit, but are no better than their neighbours
-    if clipped.any() and not clipped.all():
-        table[g.SIGMA, clipped] *= np.nanmedian((table[g.SIGMA] / before)[~clipped])
-    table[g.MISFIT] = np.minimum(table[g.MISFIT], 1.0)  # the speckle, which sigma now holds
-    table[g.ASYMMETRY_SIGMA] += speckle.contrast * math.sqrt(speckle.grain)
-    return learnt, speckle.contrast
+    clipped = (table[g.CLIPPED] > 0) & (contrast > 0)  # these keep their fit, but are no better than their neighbours
+    if clipped.any():
+        others = (table[g.SIGMA] / before)[~clipped & (contrast > 0)]
+        table[g.SIGMA, clipped] *= np.nanmedian(others) if len(others) else 1.0
+    table[g.MISFIT, contrast > 0] = 1.0  # sigma holds it now
+    table[g.ASYMMETRY_SIGMA] += contrast * math.sqrt(speckle.grain)
+    return learnt, float(np.median(contrast))
 
 
 def _stripe(
