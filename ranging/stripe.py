@@ -60,6 +60,8 @@ class StripeOptions:
     maximum_width: float = 6.0  # px, one sigma
     two_peaks: float = 0.8  # a second peak of this share of the strongest leaves the line without an answer
     edge: float = 0.15  # an asymmetry beyond this is a stripe cut by an edge
+    narrowing: float = 0.94  # a line this much narrower than its stretch is usually is cut by an edge
+    neighbours: bool = True  # lines are compared with their neighbours to find those at edges
     speckle: Switch = "auto"
 
     def __post_init__(self) -> None:
@@ -208,7 +210,7 @@ def _stripe(
 ) -> Stripe:  # fmt: skip
     """The answers of a table, after its lines have been judged."""
     from ranging import stripe_gaussian as g
-    from ranging.stripe_judge import judge
+    from ranging.stripe_judge import compare, judge, stretches
 
     threshold = options.threshold
     if threshold is None:
@@ -218,6 +220,11 @@ def _stripe(
         table, peaks, threshold, float(saturation), options.minimum_width, options.maximum_width,
         options.two_peaks, options.edge, reason,
     )  # fmt: skip
+    if options.neighbours:
+        begin, end = np.empty((2, table.shape[1]), np.int32)
+        count = stretches(table, reason, begin, end)
+        if count < 0.2 * np.count_nonzero(reason == 0):  # else it is no stripe that goes on from line to line
+            compare(table, reason, count, begin, end, options.narrowing)
     return Stripe(
         along=along,
         position=table[g.POSITION],
