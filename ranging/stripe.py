@@ -77,11 +77,11 @@ def find_along(image: Image) -> Along:
     """
     check_image(image)
     scores = {}
+    floor = float(np.median(image[::4, ::4]))
     for along in ("columns", "rows"):
         peaks = _peaks(image, image[:0], False, along, 12)  # type: ignore[arg-type]
         place, value = peaks[0].astype(np.float64), peaks[1].astype(np.float64)
-        weight = np.minimum(value[1:], value[:-1])
-        weight = np.maximum(weight - np.percentile(value, 5), 0.0)
+        weight = np.maximum(np.minimum(value[1:], value[:-1]) - floor, 0.0)
         step = np.abs(np.diff(place))
         scores[along] = float(np.sum(weight * np.maximum(0.0, 1.0 - step / 3.0)))
     return "columns" if scores["columns"] > scores["rows"] else "rows"
@@ -132,7 +132,11 @@ def extract(
     )
     measure = _METHODS[options.method]
     noise = _known_noise(options)
-    table = measure(view, peaks[0], noise or typical_noise(image.dtype))
+    guess = noise or typical_noise(image.dtype)
+    if options.which != "strongest":
+        peaks[0] = _choose(view, options.which, _threshold(options, guess))
+        peaks[2] = 0  # the choice is made: other peaks do not matter
+    table = measure(view, peaks[0], guess)
     contrast = 0.0
     if noise is None or options.speckle == "on" or (options.speckle == "auto" and _looks_speckled(table)):
         noise, contrast = _learn(view, peaks, table, noise, options)
@@ -147,6 +151,13 @@ class _View:
     dark: Image  # flat; empty where no laser-off image is subtracted
     layout: Layout
     saturation: int
+
+
+def _threshold(options: StripeOptions, noise: Noise) -> float:
+    """Least peak above the background, grey levels."""
+    if options.threshold is not None:
+        return options.threshold
+    return 6.0 * math.sqrt(noise.read_noise**2 + 1 / 12)
 
 
 def _known_noise(options: StripeOptions) -> Noise | None:
@@ -183,7 +194,7 @@ def _learn(
     learnt = Noise(options.gain_e or learnt.gain_e, learnt.read_noise if options.read_noise is None else options.read_noise)
     if noise is None:
         table[:] = _METHODS[options.method](view, peaks[0], learnt)
-    if options.method == "centroid" or options.speckle == "off":
+    if options.method in ("centroid", "ridge") or options.speckle == "off":
         return learnt, 0.0
     contrast = stripe_speckle.local_contrast(found, learnt, speckle.grain, table.shape[1])
     if options.speckle == "on":
@@ -212,12 +223,9 @@ def _stripe(
     from ranging import stripe_gaussian as g
     from ranging.stripe_judge import compare, judge, stretches
 
-    threshold = options.threshold
-    if threshold is None:
-        threshold = 6.0 * math.sqrt(noise.read_noise**2 + 1 / 12)
     reason = np.empty(table.shape[1], np.uint8)
     judge(
-        table, peaks, threshold, float(saturation), options.minimum_width, options.maximum_width,
+        table, peaks, _threshold(options, noise), float(saturation), options.minimum_width, options.maximum_width,
         options.two_peaks, options.edge, reason,
     )  # fmt: skip
     if options.neighbours:
@@ -262,6 +270,48 @@ def _gaussian(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
     return table
 
 
-_METHODS: dict[str, Callable[[_View, NDArray[np.int32], Noise], Array]] = {"auto": _gaussian, "gaussian": _gaussian}
+def _centroid(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
+    """Centre of mass, as a reference."""
+    from ranging.stripe_centroid import centroid_lines
+
+    table = _gaussian(view, place, noise)
+    centroid_lines(view.pixels, view.dark, view.layout, noise.gain_e, noise.read_noise**2 + 1 / 12, table)
+    return table
+
+
+def _ridge(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
+    """Ridge of the smoothed image, across which the brightness falls fastest: for tilted and curved stripes."""
+    from ranging import stripe_gaussian as g
+    from ranging.stripe_ridge import ridge_lines
+
+    table = _gaussian(view, place, noise)
+    width = table[g.WIDTH][np.isfinite(table[g.WIDTH])]
+    scale = min(max(float(np.median(width)) if len(width) else 1.5, 0.8), 6.0)
+    ridge_lines(view.pixels, view.dark, view.layout, scale, noise.gain_e, noise.read_noise**2 + 1 / 12, table)
+    return table
+
+
+_METHODS: dict[str, Callable[[_View, NDArray[np.int32], Noise], Array]] = {
+    "auto": _gaussian,
+    "gaussian": _gaussian,
+    "centroid": _centroid,
+    "ridge": _ridge,
+}
+
+
+def _choose(view: _View, which: Which, threshold: float) -> NDArray[np.int32]:
+    """Places (lines,) of the peaks that were asked for; -1 where a line has none."""
+    from ranging import stripe_peaks
+
+    count = view.layout[0]
+    places, values = np.empty((count, stripe_peaks.MOST), np.int32), np.empty((count, stripe_peaks.MOST))
+    stripe_peaks.find_peaks(view.pixels, view.dark, view.layout, threshold, places, values)
+    if which == "first":
+        return np.ascontiguousarray(places[:, 0])
+    if which == "last":
+        return places.max(axis=1)
+    chosen = np.empty(count, np.int32)
+    stripe_peaks.follow(places, values, chosen)
+    return chosen
 
 
