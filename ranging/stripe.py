@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.geometry import Array, Codes
+from ranging import stripe_table as t
 from ranging.background import Image, Noise, check_image, saturation_level, typical_noise
 from ranging.errors import RangingError
+from ranging.stripe_table import Layout
 
 Along = Literal["rows", "columns"]
-Layout: TypeAlias = tuple[int, int, int, int]  # lines, their length, steps to the next line and to the next pixel
 Method = Literal["auto", "centroid", "gaussian", "ridge"]
 Which = Literal["strongest", "first", "last", "continuous"]
 Switch = Literal["auto", "on", "off"]
@@ -79,7 +80,7 @@ def find_along(image: Image) -> Along:
     scores = {}
     floor = float(np.median(image[::4, ::4]))
     for along in ("columns", "rows"):
-        peaks = _peaks(image, image[:0], False, along, 12)  # type: ignore[arg-type]
+        peaks = _peaks(image, image[:0], False, along, 12)
         place, value = peaks[0].astype(np.float64), peaks[1].astype(np.float64)
         weight = np.maximum(np.minimum(value[1:], value[:-1]) - floor, 0.0)
         step = np.abs(np.diff(place))
@@ -168,13 +169,11 @@ def _known_noise(options: StripeOptions) -> Noise | None:
 
 def _looks_speckled(table: Array) -> bool:
     """Whether the profiles, or the peaks of neighbouring lines, differ by more than shot and read noise explain."""
-    from ranging import stripe_gaussian as g
-
-    misfit = table[g.MISFIT]
+    misfit = table[t.MISFIT]
     good = np.isfinite(misfit)
     if np.count_nonzero(good) < 40:
         return False
-    peak = table[g.PEAK, good]
+    peak = table[t.PEAK, good]
     rough = np.median(np.abs(np.diff(peak)) / peak[1:])
     return bool(np.median(misfit[good]) > 1.4 or rough > 0.06)
 
@@ -183,7 +182,6 @@ def _learn(
     view: _View, peaks: NDArray[np.int32], table: Array, noise: Noise | None, options: StripeOptions
 ) -> tuple[Noise, float]:
     """Noise and speckle of this frame; ``table`` is improved by what they tell. Returns the noise and the contrast."""
-    from ranging import stripe_gaussian as g
     from ranging import stripe_speckle
 
     guess = noise or typical_noise(view.pixels.dtype)
@@ -191,7 +189,9 @@ def _learn(
     if found is None:
         return guess, 0.0
     learnt, speckle = stripe_speckle.analyse(found, noise)
-    learnt = Noise(options.gain_e or learnt.gain_e, learnt.read_noise if options.read_noise is None else options.read_noise)
+    learnt = Noise(
+        options.gain_e or learnt.gain_e, learnt.read_noise if options.read_noise is None else options.read_noise
+    )
     if noise is None:
         table[:] = _METHODS[options.method](view, peaks[0], learnt)
     if options.method in ("centroid", "ridge") or options.speckle == "off":
@@ -201,17 +201,17 @@ def _learn(
         contrast = np.maximum(contrast, max(speckle.contrast, 0.05))
     if not contrast.any():
         return learnt, 0.0
-    before = table[g.SIGMA].copy()
+    before = table[t.SIGMA].copy()
     stripe_speckle.refit_lines(
         view.pixels, view.dark, view.layout, learnt.gain_e, learnt.read_noise**2 + 1 / 12, contrast, speckle.grain,
         float(view.saturation), stripe_speckle.usual_widths(table), table,
     )  # fmt: skip
-    clipped = (table[g.CLIPPED] > 0) & (contrast > 0)  # these keep their fit, but are no better than their neighbours
+    clipped = (table[t.CLIPPED] > 0) & (contrast > 0)  # these keep their fit, but are no better than their neighbours
     if clipped.any():
-        others = (table[g.SIGMA] / before)[~clipped & (contrast > 0)]
-        table[g.SIGMA, clipped] *= np.nanmedian(others) if len(others) else 1.0
-    table[g.MISFIT, contrast > 0] = 1.0  # sigma holds it now
-    table[g.ASYMMETRY_SIGMA] += contrast * math.sqrt(speckle.grain)
+        others = (table[t.SIGMA] / before)[~clipped & (contrast > 0)]
+        table[t.SIGMA, clipped] *= np.nanmedian(others) if len(others) else 1.0
+    table[t.MISFIT, contrast > 0] = 1.0  # sigma holds it now
+    table[t.ASYMMETRY_SIGMA] += contrast * math.sqrt(speckle.grain)
     return learnt, float(np.median(contrast))
 
 
@@ -219,8 +219,7 @@ def _stripe(
     along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, contrast: float, saturation: int,
     options: StripeOptions,
 ) -> Stripe:  # fmt: skip
-    """The answers of a table, after its lines have been judged."""
-    from ranging import stripe_gaussian as g
+    """Judge the lines of a table and hand over its answers."""
     from ranging.stripe_judge import compare, judge, stretches
 
     reason = np.empty(table.shape[1], np.uint8)
@@ -235,13 +234,13 @@ def _stripe(
             compare(table, reason, count, begin, end, options.narrowing)
     return Stripe(
         along=along,
-        position=table[g.POSITION],
-        sigma=table[g.SIGMA],
-        width=table[g.WIDTH],
-        peak=table[g.PEAK],
+        position=table[t.POSITION],
+        sigma=table[t.SIGMA],
+        width=table[t.WIDTH],
+        peak=table[t.PEAK],
         reason=reason,
-        floor=table[g.FLOOR],
-        asymmetry=table[g.ASYMMETRY],
+        floor=table[t.FLOOR],
+        asymmetry=table[t.ASYMMETRY],
         noise=noise,
         speckle=contrast,
     )
@@ -262,11 +261,11 @@ def _peaks(image: Image, dark: Image, has_dark: bool, along: Along, half: int) -
 
 def _gaussian(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
     """Maximum likelihood of a Gaussian profile: at the bound of Cramer and Rao for shot and read noise."""
-    from ranging import stripe_gaussian as g
+    from ranging.stripe_gaussian import fit_lines
 
-    table = np.empty((g.ROWS, view.layout[0]))
+    table = np.empty((t.ROWS, view.layout[0]))
     variance = noise.read_noise**2 + 1 / 12
-    g.fit_lines(view.pixels, view.dark, view.layout, place, noise.gain_e, variance, float(view.saturation), table)
+    fit_lines(view.pixels, view.dark, view.layout, place, noise.gain_e, variance, float(view.saturation), table)
     return table
 
 
@@ -281,11 +280,10 @@ def _centroid(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
 
 def _ridge(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
     """Ridge of the smoothed image, across which the brightness falls fastest: for tilted and curved stripes."""
-    from ranging import stripe_gaussian as g
     from ranging.stripe_ridge import ridge_lines
 
     table = _gaussian(view, place, noise)
-    width = table[g.WIDTH][np.isfinite(table[g.WIDTH])]
+    width = table[t.WIDTH][np.isfinite(table[t.WIDTH])]
     scale = min(max(float(np.median(width)) if len(width) else 1.5, 0.8), 6.0)
     ridge_lines(view.pixels, view.dark, view.layout, scale, noise.gain_e, noise.read_noise**2 + 1 / 12, table)
     return table
@@ -309,9 +307,7 @@ def _choose(view: _View, which: Which, threshold: float) -> NDArray[np.int32]:
     if which == "first":
         return np.ascontiguousarray(places[:, 0])
     if which == "last":
-        return places.max(axis=1)
+        return np.asarray(places.max(axis=1))
     chosen = np.empty(count, np.int32)
     stripe_peaks.follow(places, values, chosen)
     return chosen
-
-

@@ -8,15 +8,13 @@ import numpy as np
 
 from calibration.geometry import Array
 from ranging.kernels import Pixels, compiled
-from ranging.stripe_gaussian import FLOOR, GOOD, PEAK, POSITION, SIGMA, STATE, WIDTH
+from ranging.stripe_table import FLOOR, GOOD, PEAK, POSITION, SIGMA, STATE, WIDTH, Layout
 
 HALF = 5  # px, least half window
 
 
 @compiled
-def centroid_lines(
-    pixels: Pixels, dark: Pixels, layout: tuple[int, int, int, int], gain_e: float, variance: float, table: Array
-) -> None:
+def centroid_lines(pixels: Pixels, dark: Pixels, layout: Layout, gain_e: float, variance: float, table: Array) -> None:
     """Replace positions and sigmas of ``table`` by centres of mass above the floor within three widths, 5 px at least.
 
     Every pixel of the window weighs its distance, so that far pixels bring the most noise, and a window that cuts the
@@ -26,7 +24,7 @@ def centroid_lines(
     for i in range(count):
         if table[STATE, i] != GOOD:
             continue
-        half = max(HALF, int(math.ceil(3.0 * table[WIDTH, i])))
+        half = max(HALF, math.ceil(3.0 * table[WIDTH, i]))
         centre = int(table[POSITION, i] + 0.5)
         total, moment = 0.0, 0.0
         first, last = max(0, centre - half), min(length - 1, centre + half)

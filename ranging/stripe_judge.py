@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from calibration.geometry import Array, Codes
 from calibration.reason import Reason
 from ranging.kernels import compiled
-from ranging.stripe_gaussian import (
+from ranging.stripe_table import (
     ASYMMETRY,
     ASYMMETRY_SIGMA,
     CLIPPED,
@@ -70,10 +70,8 @@ def judge(
         elif state == CUT:
             code = OUT_OF_VIEW
         elif state == NO_FLANK:
-            if peak < 2.0 * threshold:  # the floor of noise that is looked for far and wide lies deeper
-                code = NO_LIGHT
-            else:
-                code = SATURATED if top >= saturation else TOO_WIDE
+            # The floor of noise that is looked for far and wide lies deeper: hence twice the threshold.
+            code = NO_LIGHT if peak < 2.0 * threshold else SATURATED if top >= saturation else TOO_WIDE
         elif state != GOOD:
             code = EDGE
         elif width > widest:
@@ -128,7 +126,9 @@ def stretches(table: Array, reason: Codes, begin: NDArray[np.int32], end: NDArra
 
 
 @compiled
-def compare(table: Array, reason: Codes, count: int, begin: NDArray[np.int32], end: NDArray[np.int32], narrowing: float) -> None:
+def compare(
+    table: Array, reason: Codes, count: int, begin: NDArray[np.int32], end: NDArray[np.int32], narrowing: float
+) -> None:
     """Find half-seen lines by their neighbours: at the ends of a stretch, and where it is narrower than usual.
 
     The first and the last line of a stretch mix what lies on either side of the edge, and have the reason EDGE unless
@@ -139,7 +139,7 @@ def compare(table: Array, reason: Codes, count: int, begin: NDArray[np.int32], e
     total = table.shape[1]
     block = np.empty(BLOCK)
     for c in range(count):
-        first, last = np.int64(begin[c]), np.int64(end[c])
+        first, last = int(begin[c]), int(end[c])
         blocks = max(1, (last - first + 1) // BLOCK)
         medians = np.empty(blocks)
         centres = np.empty(blocks)
@@ -163,11 +163,10 @@ def compare(table: Array, reason: Codes, count: int, begin: NDArray[np.int32], e
                 share = (i - centres[q]) / (centres[q + 1] - centres[q])
                 usual += share * (medians[q + 1] - medians[q])
             width, sigma = table[WIDTH, i], table[SIGMA, i]
-            if (i == first and first > 0) or (i == last and last < total - 1):
+            at_end = (i == first and first > 0) or (i == last and last < total - 1)
+            if at_end or width + 1.5 * sigma < narrowing * usual:
                 reason[i] = EDGE
-            elif usual > 0.0 and width + 1.5 * sigma < narrowing * usual:
-                reason[i] = EDGE
-            elif usual > 0.0:
+            else:
                 lost = max(0.0, usual - width - 2.0 * sigma)
                 lean = max(0.0, abs(table[ASYMMETRY, i]) - 2.0 * table[ASYMMETRY_SIGMA, i])
                 shift = max(PULL * lost, LEAN * lean * width)

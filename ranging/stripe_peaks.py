@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from calibration.geometry import Array
 from ranging.kernels import Pixels, compiled
+from ranging.stripe_table import Layout
 
 MOST = 6  # peaks that are remembered on a line
 APART = 10  # px, least distance between two peaks
@@ -17,9 +18,14 @@ STEP = 3.0  # px; a step of this length costs as much as a peak e times fainter
 
 @compiled
 def find_peaks(
-    pixels: Pixels, dark: Pixels, layout: tuple[int, int, int, int], threshold: float, places: NDArray[np.int32], values: Array
+    pixels: Pixels,
+    dark: Pixels,
+    layout: Layout,
+    threshold: float,
+    places: NDArray[np.int32],
+    values: Array,
 ) -> None:
-    """The strongest peaks of every line, in the order of their place.
+    """Find the strongest peaks of every line, in the order of their place.
 
     ``places`` and ``values`` (N, MOST) receive px and grey levels above the mean of the line; -1 and 0 where there are
     fewer.
@@ -35,7 +41,6 @@ def find_peaks(
                 line[j] -= dark[at]
             mean += line[j]
         mean /= length
-        found = 0
         strongest = 0.0
         for k in range(MOST):
             places[i, k] = -1
@@ -50,21 +55,20 @@ def find_peaks(
                 strongest = value
             if value < threshold or value < SHARE * strongest:
                 break
-            slot = found
+            slot = k
             while slot > 0 and places[i, slot - 1] > best:
                 places[i, slot] = places[i, slot - 1]
                 values[i, slot] = values[i, slot - 1]
                 slot -= 1
             places[i, slot] = best
             values[i, slot] = value
-            found += 1
             for j in range(max(0, best - APART), min(length, best + APART + 1)):
                 line[j] = -1e9
 
 
 @compiled
 def follow(places: NDArray[np.int32], values: Array, chosen: NDArray[np.int32]) -> None:
-    """The peaks (N,) that form the strongest and smoothest run from line to line (Viterbi); -1 where a line has none."""
+    """Choose the peaks (N,) that form the strongest and smoothest run from line to line (Viterbi); -1 where a line has none."""
     count = places.shape[0]
     cost = np.full((count, MOST), np.inf)
     origin = np.full((count, MOST), -1, np.int32)

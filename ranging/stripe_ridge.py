@@ -14,14 +14,20 @@ import numpy as np
 
 from calibration.geometry import Array
 from ranging.kernels import Pixels, compiled
-from ranging.stripe_gaussian import DIVERGED, GOOD, PEAK, POSITION, SIGMA, STATE
+from ranging.stripe_table import DIVERGED, GOOD, PEAK, POSITION, SIGMA, STATE, Layout
 
 STEEPEST = 0.25  # least share of the normal that lies across the line: a stripe within 14 degrees of the line has none
 
 
 @compiled
 def ridge_lines(
-    pixels: Pixels, dark: Pixels, layout: tuple[int, int, int, int], scale: float, gain_e: float, variance: float, table: Array
+    pixels: Pixels,
+    dark: Pixels,
+    layout: Layout,
+    scale: float,
+    gain_e: float,
+    variance: float,
+    table: Array,
 ) -> None:
     """Replace positions and sigmas of ``table`` by those of the ridge at ``scale`` px.
 
@@ -29,7 +35,7 @@ def ridge_lines(
     """
     count, length, line_step, pixel_step = layout
     has_dark = dark.size > 0
-    reach = int(math.ceil(3.0 * scale))
+    reach = math.ceil(3.0 * scale)
     size = 2 * reach + 1
     g0, g1, g2 = np.empty(size), np.empty(size), np.empty(size)
     for k in range(size):

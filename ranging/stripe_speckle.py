@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from calibration.geometry import Array
 from ranging.background import Noise
 from ranging.kernels import Pixels, compiled
-from ranging.stripe_gaussian import FAR, FLOOR, GOOD, LONGEST, Layout, PEAK, POSITION, SIGMA, STATE, WIDTH
+from ranging.stripe_gaussian import FAR, LONGEST
+from ranging.stripe_table import FLOOR, GOOD, PEAK, POSITION, SIGMA, STATE, WIDTH, Layout
 
 GRAINS = (0.3, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # px, trial values of the correlation length
 LAGS = 5  # px, farthest products of residuals that are looked at
@@ -179,7 +180,7 @@ def _solve(f: Array, t: Array) -> bool:
 
 
 def usual_widths(table: Array) -> Array:
-    """Running median (N,) px of the widths of the lines that have one, carried over to those between."""
+    """Follow the widths (N,) px by a running median over the lines that have one, carried over to those between."""
     good = np.flatnonzero(np.isfinite(table[WIDTH]))
     if len(good) == 0:
         return np.ones(table.shape[1])
@@ -243,7 +244,7 @@ def analyse(found: Leftover, known: Noise | None) -> tuple[Noise, Speckle]:
 
 def local_contrast(found: Leftover, noise: Noise, grain: float, count: int) -> Array:
     """Contrast (count,) of every line from the lines about it; 0 where shot and read noise explain the residuals."""
-    m, constant, linear, square = _expected(found.peak, found.width, grain, noise)
+    _, constant, linear, square = _expected(found.peak, found.width, grain, noise)
     quiet = (noise.read_noise**2 + 1 / 12) * constant[0] + linear[0] / noise.gain_e
     total = quiet + 0.01 * square[0]
     weight = square[0] / total**2
