@@ -1,0 +1,1 @@
+"""Stripe images to points."""

@@ -1,0 +1,42 @@
+"""A laser-stripe 3-D scanner, calibrated in place by the method of two planes.
+
+Everything public is here; each name is loaded when it is first used (PEP 562), so that ``import scope`` costs neither
+SciPy nor Open3D.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from scope.version import __version__
+
+_HOMES = {
+    "Box": "scope.region",
+    "CalibrationError": "calibration.errors",
+    "FileError": "calibration.errors",
+    "MeasurementError": "scope.errors",
+    "MissingLibraryError": "scope.errors",
+    "Plane": "calibration.geometry",
+    "Pose": "calibration.geometry",
+    "Ranged": "calibration.geometry",
+    "RangingError": "ranging.errors",
+    "Rays": "calibration.geometry",
+    "Reason": "calibration.reason",
+    "ScanCloud": "scope.cloud",
+    "ScopeError": "calibration.errors",
+}
+
+__all__ = ["__version__", *_HOMES]  # noqa: PLE0604  (the names are strings of the table above)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'scope' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

@@ -1,0 +1,82 @@
+"""What every command shares: talk on stderr, data on stdout, errors to exit codes."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from calibration.errors import ScopeError
+
+EXIT_BAD_DATA = 1
+EXIT_NOT_TO_BE_USED = 3
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no talk on stderr.")]
+Report = Annotated[Path | None, typer.Option("--report", help="Write a self-contained HTML page.")]
+
+
+@contextmanager
+def user_errors() -> Iterator[None]:
+    """Turn bad data into one line on stderr and exit status 1; a caller's bug still shows its traceback."""
+    try:
+        yield
+    except ScopeError as error:
+        typer.echo(f"error: {' '.join(str(error).split())}", err=True)
+        raise typer.Exit(EXIT_BAD_DATA) from error
+
+
+def say(text: str, *, quiet: bool) -> None:
+    """Talk on stderr."""
+    if not quiet:
+        typer.echo(text, err=True)
+
+
+def emit(result: dict[str, Any], *, as_json: bool, text: str) -> None:
+    """Print the result: JSON, or the text that a person reads."""
+    typer.echo(json.dumps(plain(result), indent=1, allow_nan=False) if as_json else text)
+
+
+def plain(value: Any) -> Any:
+    """Value made of what JSON has: arrays become lists, NaN and infinities become null."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+@contextmanager
+def progress(label: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """Yield ``tick(done, total)``, a bar on stderr with count, rate and time left; silent when quiet or no terminal."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda _done, _total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=None, rate="")
+
+        def tick(done: int, total: int) -> None:
+            speed = bar.tasks[0].speed
+            bar.update(task, completed=done, total=total or None, rate=f"{speed:.1f}/s" if speed else "")
+
+        yield tick

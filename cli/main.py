@@ -1,0 +1,42 @@
+"""The command `scope`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from cli import calibrate, scan, view
+from scope.version import __version__
+
+app = typer.Typer(
+    name="scope",
+    help="A laser-stripe 3-D scanner that is calibrated in place and proves its own calibration.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"scope {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Lengths are mm, angles degrees, pixels (u, v) = (column, row) from the centre of the first pixel."""
+
+
+for _commands in (calibrate, scan, view):
+    _commands.register(app)
+
+
+def main() -> None:
+    """Run the command."""
+    app()
