@@ -103,7 +103,8 @@ def label_grid(
         )
     target.check_fiducials()
     points = spots.centroids
-    index, on = index_lattice(points, target.pitch[0] / target.pitch[1])
+    lattice = index_lattice(points, target.pitch[0] / target.pitch[1])
+    index, on = lattice.index, lattice.on
     if on.sum() < max(least, len(spots) // 3):
         raise CalibrationError(
             f"only {int(on.sum())} of {len(spots)} spots form a grid; the grid of {target.rows} x {target.columns} "
@@ -112,7 +113,9 @@ def label_grid(
     where = np.flatnonzero(on)
     cell = _right_handed(index[on], points[on])
     if target.fiducials:
-        way, runner_up = _by_fiducials(cell, spots.select(where), target)
+        # spots over the side of their cell: tilt and lens cancel, so that only fiducials stand out
+        size = spots.diameter[on] / lattice.side[on]
+        way, runner_up = _by_fiducials(cell, size / np.nanmedian(size), target, strays=bool(on.sum() < len(spots)))
     else:
         way, runner_up = _by_border(cell, points[on], target, image_size, turned)
     mark = np.full(len(spots), -1, dtype=np.int64)
@@ -129,48 +132,13 @@ def _right_handed(index: Ints, points: Array) -> Ints:
     return index if np.linalg.det(slope) > 0 else index * np.array([1, -1])
 
 
-def _relative_size(cell: Ints, spots: Spots, pitch: tuple[float, float]) -> Array:
-    """Diameters (K,) over the local scale, median 1: tilt and lens cancel, so that only fiducials stand out."""
-    low = cell.min(axis=0) - 1
-    shape = cell.max(axis=0) - low + 2
-    grid = np.full((*shape, 2), np.nan)
-    i, j = (cell - low).T
-    grid[i, j] = spots.centroids
-    step_i = (
-        np.fmin(_length(grid[i + 1, j] - grid[i, j]), np.inf),
-        np.fmin(_length(grid[i, j] - grid[i - 1, j]), np.inf),
-    )
-    step_j = (
-        np.fmin(_length(grid[i, j + 1] - grid[i, j]), np.inf),
-        np.fmin(_length(grid[i, j] - grid[i, j - 1]), np.inf),
-    )
-    del step_i, step_j, pitch
-    size = np.full(tuple(shape), np.nan)
-    size[i, j] = spots.diameter
-    ratio = np.full(len(cell), 1.0)
-    span = [(a, b) for a in range(-2, 3) for b in range(-2, 3) if a or b]
-    around = np.full((len(span), len(cell)), np.nan)
-    for k, (a, b) in enumerate(span):
-        x, y = i + a, j + b
-        inside = (x >= 0) & (y >= 0) & (x < shape[0]) & (y < shape[1])
-        around[k, inside] = size[x[inside], y[inside]]
-    known = np.isfinite(around).any(axis=0)
-    ratio[known] = spots.diameter[known] / np.nanmedian(around[:, known], axis=0)
-    return ratio
-
-
-def _length(steps: Array) -> Array:
-    return np.asarray(np.linalg.norm(steps, axis=-1))
-
-
-def _by_fiducials(cell: Ints, spots: Spots, target: SpotGrid) -> tuple[_Way, int | None]:
-    """The way that the larger spots demand."""
-    size = _relative_size(cell, spots, target.pitch)
+def _by_fiducials(cell: Ints, size: Array, target: SpotGrid, *, strays: bool) -> tuple[_Way, int | None]:
+    """Find the way that the larger spots demand; ``size`` (K,) is relative, 1 for ordinary ones, NaN where unknown."""
     expected = (target.fiducial_diameter or 1.5 * target.diameter) / target.diameter
     large = size > 1.0 + 0.6 * (expected - 1.0) if expected > 1.0 else size < 1.0 - 0.6 * (1.0 - expected)
     plain = size < 1.0 + 0.4 * (expected - 1.0) if expected > 1.0 else size > 1.0 - 0.4 * (1.0 - expected)
     offers = _offers(cell, large, plain, target)
-    best = _choose(offers, len(target.fiducials), len(cell))
+    best = _choose(offers, len(target.fiducials), len(cell), margin=2 if strays else 1)
     if best is not None:
         others = [w.against for w in offers if w is not best]
         return best, min(others, default=None)
@@ -193,7 +161,7 @@ def _by_fiducials(cell: Ints, spots: Spots, target: SpotGrid) -> tuple[_Way, int
         target.fiducial_diameter,
     )
     for other in (flipped, swapped):
-        if _choose(_offers(cell, large, plain, other), len(target.fiducials), len(cell)) is not None:
+        if _choose(_offers(cell, large, plain, other), len(target.fiducials), len(cell), margin=2) is not None:
             raise CalibrationError(
                 f"the image shows a grid of {other.rows} rows and {other.columns} columns, the file says "
                 f"{target.rows} and {target.columns}: rows and columns look swapped in the target"
@@ -234,11 +202,11 @@ def _offers(cell: Ints, large: Bools, plain: Bools, target: SpotGrid) -> _Offer:
     return offers
 
 
-def _choose(offers: _Offer, fiducials: int, spots: int) -> _Way | None:
+def _choose(offers: _Offer, fiducials: int, spots: int, *, margin: int) -> _Way | None:
     """The one way that is certain, if there is one.
 
     All fiducials seen and next to nothing against it: certain, since their pattern is unlike its images. Otherwise
-    nothing may speak against it, at least two spots must speak against every other, and it must have a fiducial.
+    nothing may speak against it, ``margin`` spots must speak against every other, and it must have two fiducials.
     """
     if not offers:
         return None
@@ -247,7 +215,7 @@ def _choose(offers: _Offer, fiducials: int, spots: int) -> _Way | None:
     if len(complete) == 1 and complete[0].against <= complete[0].outside + 1:
         return complete[0]
     best = ranked[0]
-    if best.against == 0 and (len(ranked) == 1 or ranked[1].against >= 2) and best.matched >= 2:
+    if best.against == 0 and (len(ranked) == 1 or ranked[1].against >= margin) and best.matched >= 2:
         return best
     return None
 

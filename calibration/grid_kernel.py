@@ -129,7 +129,8 @@ def _misfit(points: Array, cell: Ints, basis: Array, reach: int) -> Array:
     n = len(points)
     side = 2 * reach + 1
     where = np.full((side, side), -1, np.int64)
-    out = np.full(n, np.inf)
+    out = np.zeros((n, 3))
+    out[:, 0] = np.inf
     place = np.empty(6)
     for k in range(n):
         if cell[k, 0] >= 0:
@@ -137,13 +138,16 @@ def _misfit(points: Array, cell: Ints, basis: Array, reach: int) -> Array:
     for k in range(n):
         if cell[k, 0] < 0:
             continue
-        if _predict(points, where, cell[k, 0], cell[k, 1], basis, k, place) > 0.0:
+        out[k, 2] = _predict(points, where, cell[k, 0], cell[k, 1], basis, k, place)
+        if out[k, 2] > 0.0:
             short = min(place[2] ** 2 + place[3] ** 2, place[4] ** 2 + place[5] ** 2)
-            out[k] = math.sqrt(((points[k, 0] - place[0]) ** 2 + (points[k, 1] - place[1]) ** 2) / short)
+            out[k, 1] = math.sqrt(abs(place[2] * place[5] - place[3] * place[4]))
+            out[k, 0] = math.sqrt(((points[k, 0] - place[0]) ** 2 + (points[k, 1] - place[1]) ** 2) / short)
     return out
 
 
 #: ``grow(points, seed, basis, reach, tolerance) -> (N, 2)``: cells of the points, -1 where they are on no lattice.
 grow = numba.njit(cache=True, error_model="numpy")(_grow)
-#: ``misfit(points, cell, basis, reach) -> (N,)``: distance of each point from where its neighbours predict it, in steps.
+#: ``misfit(points, cell, basis, reach) -> (N, 3)``: distance of each point from where its neighbours predict it, in
+#: steps; the side of a square of the area of its cell, px; and the weight of the neighbours.
 misfit = numba.njit(cache=True, error_model="numpy")(_misfit)

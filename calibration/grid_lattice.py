@@ -7,6 +7,7 @@ locally affine. `calibration.grid` finds out how it lies on the target.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,11 +15,22 @@ from calibration.geometry import Array, Bools, Ints
 
 _TOLERANCE = 0.25  # steps: how far a point may lie from where its neighbours predict it
 _STRAY = 0.15  # steps: the same once the lattice is complete
+_LEAST_STRAY = 0.04  # steps: the same where the neighbours lie all around
+_INTERIOR, _FEW = 2.6, 1.2  # weight of neighbours that lie all around, and of too few to tell the cell's size
 _NEIGHBOURS = 12
 _SEEDS = 40
 
 
-def index_lattice(points: Array, aspect: float = 1.0) -> tuple[Ints, Bools]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Lattice:
+    """Where N points lie on a lattice with directions and an origin of its own."""
+
+    index: Ints  # (N, 2), (i, j); meaningless where not on the lattice
+    on: Bools  # (N,) which points are on it
+    side: Array  # (N,) px, of a square of the area of the cell about the point; NaN where too few neighbours tell
+
+
+def index_lattice(points: Array, aspect: float = 1.0) -> Lattice:
     """Find the largest lattice that can be grown among points, and the indices of the points on it.
 
     Parameters
@@ -31,27 +43,31 @@ def index_lattice(points: Array, aspect: float = 1.0) -> tuple[Ints, Bools]:
 
     Returns
     -------
-    (N, 2) array of integers
-        Indices (i, j), from an arbitrary origin; those of points that are not on the lattice are meaningless.
-    (N,) array, bool
-        Which points are on it.
+    Lattice
+        Nothing is on it where there is none.
     """
     from calibration import grid_kernel as kernel
 
     n = len(points)
-    index, on = np.zeros((n, 2), np.int64), np.zeros(n, np.bool_)
+    best = Lattice(np.zeros((n, 2), np.int64), np.zeros(n, np.bool_), np.full(n, np.nan))
     if n < 4:
-        return index, on
+        return best
     points = np.ascontiguousarray(points, dtype=np.float64)
     reach = min(n, 3 * int(np.ceil(np.sqrt(n))) + 30) + 4
     for seed, basis in _seeds(points, aspect):
         cell = kernel.grow(points, seed, basis, reach, _TOLERANCE)
-        keep = (cell[:, 0] >= 0) & (kernel.misfit(points, cell, basis, reach) < _STRAY)
-        if keep.sum() > on.sum():
-            index, on = cell, keep
-        if on.sum() > 0.6 * n:
+        miss, side, weight = kernel.misfit(points, cell, basis, reach).T
+        known = np.isfinite(miss)
+        if known.sum() <= best.on.sum():
+            continue
+        # a stray point near a lattice place is told by how well the others fit
+        limit = np.clip(8.0 * float(np.median(miss[known])), _LEAST_STRAY, _STRAY)
+        keep = miss < np.where(weight > _INTERIOR, limit, _STRAY)
+        if keep.sum() > best.on.sum():
+            best = Lattice(cell, keep, np.where(weight > _FEW, side, np.nan))
+        if best.on.sum() > 0.6 * n:
             break
-    return index, on
+    return best
 
 
 def _seeds(points: Array, aspect: float) -> Iterator[tuple[int, Array]]:
