@@ -9,6 +9,7 @@ be speak against it. A way is taken only where nothing else is as good: a view t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -22,19 +23,12 @@ from calibration.targets import SpotGrid
 
 Turned = Literal[0, 90, 180, 270]
 
-# Maps of lattice indices (i, j) to (column, row) of the target, up to a shift: four turns, then four reflections.
+# Maps of lattice indices (i, j) to (column, row) of the target, up to a shift: the turns and reflections, and all of
+# them along the diagonals of a cell too, since a strong tilt can make these look squarer than its sides.
 _WAYS: tuple[NDArray[np.int64], ...] = tuple(
-    np.array(m, dtype=np.int64)
-    for m in (
-        ((1, 0), (0, 1)),
-        ((0, -1), (1, 0)),
-        ((-1, 0), (0, -1)),
-        ((0, 1), (-1, 0)),
-        ((-1, 0), (0, 1)),
-        ((0, 1), (1, 0)),
-        ((1, 0), (0, -1)),
-        ((0, -1), (-1, 0)),
-    )
+    np.array(((a, b), (c, d)), dtype=np.int64)
+    for a, b, c, d in product((-1, 0, 1), repeat=4)
+    if abs(a * d - b * c) == 1
 )
 
 
@@ -186,6 +180,7 @@ def _offers(cell: Ints, large: Bools, plain: Bools, target: SpotGrid) -> _Offer:
         return offers
     for number, way in enumerate(_WAYS):
         laid = cell @ way.T
+        mirrored = bool(way[0, 0] * way[1, 1] < way[0, 1] * way[1, 0])
         for big in bigs @ way.T:
             for fiducial in fiducials:
                 shift = fiducial - big
@@ -198,7 +193,7 @@ def _offers(cell: Ints, large: Bools, plain: Bools, target: SpotGrid) -> _Offer:
                 should = (at[:, None] == fiducials[None]).all(axis=2).any(axis=1)
                 matched = int((should & large).sum())
                 against = int((should & plain).sum() + (~should & large & ~outside).sum() + outside.sum())
-                offers.append(_Way(at, number >= 4, matched, against, int(outside.sum())))
+                offers.append(_Way(at, mirrored, matched, against, int(outside.sum())))
     return offers
 
 
@@ -224,37 +219,40 @@ def _by_border(
     cell: Ints, points: Array, target: SpotGrid, image_size: tuple[int, int], turned: Turned | None
 ) -> tuple[_Way, int | None]:
     """The way that a grid without fiducials lies: all of it in view, (0, 0) at the top left unless ``turned``."""
-    low, high = cell.min(axis=0), cell.max(axis=0)
-    extent = high - low + 1
     wanted = np.array([target.columns, target.rows])
-    found = f"{extent.max()} x {extent.min()}"
-    if sorted(extent) != sorted(wanted):
-        raise CalibrationError(
-            f"found a grid of {found} spots, the target has {target.rows} x {target.columns} and no fiducials: all of "
-            "it must be in view, or it needs fiducials"
-        )
-    middle = cell - (low + high) / 2.0
-    slope = np.linalg.lstsq(np.column_stack([middle, np.ones(len(cell))]), points, rcond=None)[0]
-    ways = []
-    for number, way in enumerate(_WAYS[:4]):
+    found: list[tuple[float, Ints]] = []  # how far from the place where (0, 0) should be, and the cells
+    extents: set[tuple[int, int]] = set()
+    for way in _WAYS:
+        if way[0, 0] * way[1, 1] < way[0, 1] * way[1, 0]:
+            continue  # without fiducials a mirror image cannot be told, and none is assumed
         laid = cell @ way.T
-        first = laid.min(axis=0)
-        x_axis = (np.linalg.inv(way)[:, 0]) @ slope[:2]
-        corner = (np.linalg.inv(way) @ (first - (laid.min(axis=0) + laid.max(axis=0)) / 2.0)) @ slope[:2] + slope[2]
-        angle = np.degrees(np.arctan2(x_axis[1], x_axis[0]))
+        laid = laid - laid.min(axis=0)
+        extent = laid.max(axis=0) + 1
+        extents.add((int(extent[1]), int(extent[0])))
+        middle = (extent - 1) / 2.0
+        slope = np.linalg.lstsq(np.column_stack([laid - middle, np.ones(len(laid))]), points, rcond=None)[0]
         if turned is None:
-            rank = float(np.linalg.norm(corner))
+            rank = float(np.linalg.norm(slope[2] - middle @ slope[:2]))
         else:
-            rank = float(abs((angle - turned + 180.0) % 360.0 - 180.0))
-        ways.append((rank, number, laid - first, laid.max(axis=0) - first + 1))
-    ways.sort(key=lambda item: item[0])
-    scale = 0.05 * float(np.hypot(*image_size)) if turned is None else 10.0
-    if ways[1][0] - ways[0][0] < scale:
+            angle = float(np.degrees(np.arctan2(slope[0, 1], slope[0, 0])))
+            rank = abs((angle - turned + 180.0) % 360.0 - 180.0)
+        if (extent == wanted).all() or (extent == wanted[::-1]).all():
+            found.append((rank, laid))
+    if not found:
+        smallest = min(extents, key=lambda e: e[0] * e[1])
         raise CalibrationError(
-            "two corners of the grid are as near to the image's top left: which is mark (0, 0) cannot be told: "
+            f"found a grid of {smallest[0]} x {smallest[1]} spots, the target has {target.rows} x {target.columns} and "
+            "no fiducials: all of it must be in view, or it needs fiducials"
+        )
+    found.sort(key=lambda item: item[0])
+    close = 0.05 * float(np.hypot(*image_size)) if turned is None else 10.0
+    if len(found) > 1 and found[1][0] - found[0][0] < close:
+        raise CalibrationError(
+            "two corners of the grid are about as near to the image's top left: which is mark (0, 0) cannot be told: "
             "set `turned` on the plane, or use a target with fiducials"
         )
-    _, _, laid, shape = ways[0]
+    laid = found[0][1]
+    shape = laid.max(axis=0) + 1
     if tuple(shape) != tuple(wanted):
         raise CalibrationError(
             f"the image shows {shape[1]} rows and {shape[0]} columns, the file says {target.rows} and "

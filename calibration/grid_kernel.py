@@ -10,6 +10,7 @@ import numpy as np
 from calibration.geometry import Array, Ints
 
 _SPAN = 3  # cells around one that predict it
+_LEAST = 1.1  # weight of neighbours, once there are some: about two beside a cell
 _HOLD = 0.02, 0.08  # how strongly slope and curvature are held back where few points tell them
 
 
@@ -79,7 +80,7 @@ def _grow(points: Array, seed: int, basis: Array, reach: int, tolerance: float) 
     cell[seed, 0] = cell[seed, 1] = reach
     place = np.empty(6)
     list_i, list_j, weight = np.empty(side * side, np.int64), np.empty(side * side, np.int64), np.empty(side * side)
-    step = 1
+    step, grown = 1, 1
     while True:
         # the cells beside what is known, best supported first
         count = 0
@@ -92,7 +93,7 @@ def _grow(points: Array, seed: int, basis: Array, reach: int, tolerance: float) 
                     for dj in range(-step, step + 1):
                         if where[i + di, j + dj] >= 0:
                             support += math.exp(-0.35 * (di * di + dj * dj))
-                if support > 1.02 * tried[i, j]:
+                if support > 1.02 * tried[i, j] and (support > _LEAST or grown < 6):
                     list_i[count], list_j[count], weight[count] = i, j, support
                     count += 1
         found = 0
@@ -116,6 +117,7 @@ def _grow(points: Array, seed: int, basis: Array, reach: int, tolerance: float) 
             where[i, j] = pick
             cell[pick, 0], cell[pick, 1] = i, j
             found += 1
+            grown += 1
         if found > 0:
             step = 1
         elif step == 1:

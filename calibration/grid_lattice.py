@@ -16,7 +16,7 @@ from calibration.geometry import Array, Bools, Ints
 _TOLERANCE = 0.25  # steps: how far a point may lie from where its neighbours predict it
 _STRAY = 0.15  # steps: the same once the lattice is complete
 _LEAST_STRAY = 0.04  # steps: the same where the neighbours lie all around
-_INTERIOR, _FEW = 2.6, 1.2  # weight of neighbours that lie all around, and of too few to tell the cell's size
+_INTERIOR, _FEW = 4.8, 1.2  # weight of neighbours that lie all around, and of too few to tell the cell's size
 _NEIGHBOURS = 12
 _SEEDS = 40
 
@@ -63,11 +63,97 @@ def index_lattice(points: Array, aspect: float = 1.0) -> Lattice:
         # a stray point near a lattice place is told by how well the others fit
         limit = np.clip(8.0 * float(np.median(miss[known])), _LEAST_STRAY, _STRAY)
         keep = miss < np.where(weight > _INTERIOR, limit, _STRAY)
+        if keep.sum() < max(4, best.on.sum()):
+            continue
+        cell, keep = _straighten(points, _primitive(cell, keep), keep)
         if keep.sum() > best.on.sum():
+            miss, side, weight = kernel.misfit(points, cell, basis, reach).T
             best = Lattice(cell, keep, np.where(weight > _FEW, side, np.nan))
         if best.on.sum() > 0.6 * n:
             break
     return best
+
+
+def _straighten(points: Array, index: Ints, on: Bools) -> tuple[Ints, Bools]:
+    """Drop points that no smooth map of the whole lattice explains, and take in those that it does.
+
+    The map is a homography followed by a polynomial, which takes what the lens bends, fitted with weights that fall
+    with the residual (Cauchy). What grew wrong at one place is seen from all the others.
+    """
+    centre, scale = points[on].mean(axis=0), float(np.abs(points[on] - points[on].mean(axis=0)).max())
+    p = (points - centre) / scale
+    kept = on
+    for _ in range(3):
+        order = 4 if kept.sum() >= 60 else 3 if kept.sum() >= 30 else 2 if kept.sum() >= 14 else 1
+        if kept.sum() < 8:
+            return index, kept
+        low, high = index[kept].min(axis=0), index[kept].max(axis=0)
+        middle, span = (low + high) / 2.0, max(float((high - low).max()) / 2.0, 1.0)
+        # pixels to indices: that way the polynomial needs no inverse to be asked where a point lies
+        where = (index - middle) / span
+        weight = np.ones(int(kept.sum()))
+        for _ in range(4):
+            guess = _to_index(p, p[kept], where[kept], weight, order)
+            residual = np.linalg.norm(guess[kept] - where[kept], axis=1) * span
+            weight = 1.0 / (1.0 + (residual / max(0.03, 1.5 * float(np.median(residual)))) ** 2)
+        guess = guess * span + middle
+        nearest = np.round(guess).astype(np.int64)
+        off = np.abs(guess - nearest).max(axis=1)
+        spread = float(np.median(off[kept]))
+        near = ((nearest >= low - 2) & (nearest <= high + 2)).all(axis=1)
+        candidates = np.flatnonzero((off < np.clip(8.0 * spread, _LEAST_STRAY, _STRAY)) & near)
+        # of two points that claim one place the nearer one has it
+        candidates = candidates[np.argsort(off[candidates])]
+        _, first = np.unique(nearest[candidates], axis=0, return_index=True)
+        new = np.zeros(len(points), np.bool_)
+        new[candidates[first]] = True
+        settled = bool((new == kept).all() and (nearest[kept] == index[kept]).all())
+        index, kept = np.where(new[:, None], nearest, -1), new
+        if settled:
+            break
+    return index - index[kept].min(axis=0) + 4 if kept.any() else index, kept
+
+
+def _to_index(p: Array, known: Array, where: Array, weight: Array, order: int) -> Array:
+    """Places (N, 2) in the lattice of points (N, 2), by a map fitted to known ones: homography, then polynomial."""
+    one = np.ones(len(known))
+    a = np.zeros((2 * len(known), 8))
+    a[::2, :3] = a[1::2, 3:6] = np.column_stack([known, one])
+    a[::2, 6:], a[1::2, 6:] = -where[:, :1] * known, -where[:, 1:] * known
+    w = np.sqrt(np.repeat(weight, 2))
+    h = np.append(np.linalg.lstsq(a * w[:, None], where.ravel() * w, rcond=None)[0], 1.0).reshape(3, 3)
+
+    def flat(q: Array) -> Array:
+        image = np.column_stack([q, np.ones(len(q))]) @ h.T
+        return np.asarray(image[:, :2] / np.where(np.abs(image[:, 2:]) < 1e-9, 1e-9, image[:, 2:]))
+
+    def terms(q: Array) -> Array:
+        x, y = np.clip(q, -3.0, 3.0).T
+        return np.stack([x**m * y**n for m in range(order + 1) for n in range(order + 1 - m)], axis=1)
+
+    basis, w = terms(flat(known)), np.sqrt(weight)
+    return np.asarray(terms(flat(p)) @ np.linalg.lstsq(basis * w[:, None], where * w[:, None], rcond=None)[0])
+
+
+def _primitive(index: Ints, on: Bools) -> Ints:
+    """Indices on the lattice that the points fill, where ``index`` counts one of which only every second place is used.
+
+    That happens where the first step was taken to dirt that lies half way between two points.
+    """
+    for _ in range(2):
+        i, j = index[on].T
+        for test, halved in (
+            (i, lambda x: np.stack([x[:, 0] // 2, x[:, 1]], axis=1)),
+            (j, lambda x: np.stack([x[:, 0], x[:, 1] // 2], axis=1)),
+            (i + j, lambda x: np.stack([(x[:, 0] + x[:, 1]) // 2, (x[:, 0] - x[:, 1]) // 2], axis=1)),
+        ):
+            odd = float(np.mean(test % 2))
+            if min(odd, 1.0 - odd) < 0.03:
+                index = halved(index - np.array([1, 0]) if odd > 0.5 and test is not j else index - np.array([0, int(odd > 0.5)]))
+                break
+        else:
+            break
+    return index
 
 
 def _seeds(points: Array, aspect: float) -> Iterator[tuple[int, Array]]:
