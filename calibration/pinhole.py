@@ -186,7 +186,7 @@ def _intrinsic_inverse(jacobians: list[Array]) -> Array:
 
 
 def _view_volume(views: tuple[PlaneMarks, ...], matrix: Array, distortion: Array) -> Volume:
-    """Where a pinhole is trusted: sighted between the marks of any view, from 25 % nearer to 25 % farther than they were.
+    """Where a pinhole is trusted: sighted between the marks of any view, from 10 % nearer to 10 % farther than they were.
 
     A lens model does not explode between and behind its marks as a polynomial does; only outside the part of the image
     that the marks cover is its distortion a guess.
@@ -199,7 +199,7 @@ def _view_volume(views: tuple[PlaneMarks, ...], matrix: Array, distortion: Array
     middle = PinholeCamera.directions(hull.mean(axis=0)[None], matrix, distortion)[0]
     normals *= -np.sign(normals @ middle)[:, None] / np.linalg.norm(normals, axis=1, keepdims=True)
     ends = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
-    offsets = np.array([-depth.min() / 1.25, depth.max() * 1.25])
+    offsets = np.array([-depth.min() / 1.1, depth.max() * 1.1])
     return Volume(np.concatenate([normals, ends]), np.concatenate([np.zeros(len(normals)), offsets]))
 
 

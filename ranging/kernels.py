@@ -117,12 +117,12 @@ def peaks_of_columns(image: Pixels, dark: Pixels, has_dark: bool, half: int, out
             second[j] = max(second[j], top[j] if far else zero)
     for j in range(columns):
         value = np.float32(best[j])
-        b = np.int64(where[j])
-        i = b * BLOCK
+        block = int(where[j])
+        i = block * BLOCK
         while light(image, dark, has_dark, i, j) < value:
             i += 1
         other = np.float32(second[j])
-        for c in range(max(0, b - half // BLOCK - 1), min(count, b + half // BLOCK + 2)):
+        for c in range(max(0, block - half // BLOCK - 1), min(count, block + half // BLOCK + 2)):
             if np.float32(tops[c, j]) <= max(other, np.float32(0.25) * value):
                 continue
             for k in range(c * BLOCK, min((c + 1) * BLOCK, rows)):

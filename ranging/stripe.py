@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.geometry import Array, Codes
+from ranging import stripe_table as t
 from ranging.background import Image, Noise, check_image, saturation_level, typical_noise
 from ranging.errors import RangingError
+from ranging.stripe_table import Layout
 
 Along = Literal["rows", "columns"]
-Layout: TypeAlias = tuple[int, int, int, int]  # lines, their length, steps to the next line and to the next pixel
 Method = Literal["auto", "centroid", "gaussian", "ridge"]
 Which = Literal["strongest", "first", "last", "continuous"]
 Switch = Literal["auto", "on", "off"]
@@ -59,6 +61,8 @@ class StripeOptions:
     maximum_width: float = 6.0  # px, one sigma
     two_peaks: float = 0.8  # a second peak of this share of the strongest leaves the line without an answer
     edge: float = 0.15  # an asymmetry beyond this is a stripe cut by an edge
+    narrowing: float = 0.94  # a line this much narrower than its stretch is usually is cut by an edge
+    neighbours: bool = True  # lines are compared with their neighbours to find those at edges
     speckle: Switch = "auto"
 
     def __post_init__(self) -> None:
@@ -74,11 +78,11 @@ def find_along(image: Image) -> Along:
     """
     check_image(image)
     scores = {}
+    floor = float(np.median(image[::4, ::4]))
     for along in ("columns", "rows"):
-        peaks = _peaks(image, image[:0], False, along, 12)  # type: ignore[arg-type]
+        peaks = _peaks(image, image[:0], False, along, 12)
         place, value = peaks[0].astype(np.float64), peaks[1].astype(np.float64)
-        weight = np.minimum(value[1:], value[:-1])
-        weight = np.maximum(weight - np.percentile(value, 5), 0.0)
+        weight = np.maximum(np.minimum(value[1:], value[:-1]) - floor, 0.0)
         step = np.abs(np.diff(place))
         scores[along] = float(np.sum(weight * np.maximum(0.0, 1.0 - step / 3.0)))
     return "columns" if scores["columns"] > scores["rows"] else "rows"
@@ -129,7 +133,11 @@ def extract(
     )
     measure = _METHODS[options.method]
     noise = _known_noise(options)
-    table = measure(view, peaks[0], noise or typical_noise(image.dtype))
+    guess = noise or typical_noise(image.dtype)
+    if options.which != "strongest":
+        peaks[0] = _choose(view, options.which, _threshold(options, guess))
+        peaks[2] = 0  # the choice is made: other peaks do not matter
+    table = measure(view, peaks[0], guess)
     contrast = 0.0
     if noise is None or options.speckle == "on" or (options.speckle == "auto" and _looks_speckled(table)):
         noise, contrast = _learn(view, peaks, table, noise, options)
@@ -146,6 +154,13 @@ class _View:
     saturation: int
 
 
+def _threshold(options: StripeOptions, noise: Noise) -> float:
+    """Least peak above the background, grey levels."""
+    if options.threshold is not None:
+        return options.threshold
+    return 6.0 * math.sqrt(noise.read_noise**2 + 1 / 12)
+
+
 def _known_noise(options: StripeOptions) -> Noise | None:
     if options.gain_e is None or options.read_noise is None:
         return None
@@ -154,13 +169,11 @@ def _known_noise(options: StripeOptions) -> Noise | None:
 
 def _looks_speckled(table: Array) -> bool:
     """Whether the profiles, or the peaks of neighbouring lines, differ by more than shot and read noise explain."""
-    from ranging import stripe_gaussian as g
-
-    misfit = table[g.MISFIT]
+    misfit = table[t.MISFIT]
     good = np.isfinite(misfit)
     if np.count_nonzero(good) < 40:
         return False
-    peak = table[g.PEAK, good]
+    peak = table[t.PEAK, good]
     rough = np.median(np.abs(np.diff(peak)) / peak[1:])
     return bool(np.median(misfit[good]) > 1.4 or rough > 0.06)
 
@@ -169,60 +182,65 @@ def _learn(
     view: _View, peaks: NDArray[np.int32], table: Array, noise: Noise | None, options: StripeOptions
 ) -> tuple[Noise, float]:
     """Noise and speckle of this frame; ``table`` is improved by what they tell. Returns the noise and the contrast."""
-    from ranging import stripe_gaussian as g
     from ranging import stripe_speckle
 
     guess = noise or typical_noise(view.pixels.dtype)
-    found = stripe_speckle.analyse(view.pixels, view.dark, view.layout, table, float(view.saturation), noise)
+    found = stripe_speckle.leftover(view.pixels, view.dark, view.layout, table, float(view.saturation))
     if found is None:
         return guess, 0.0
-    learnt, speckle = found
-    learnt = Noise(options.gain_e or learnt.gain_e, learnt.read_noise if options.read_noise is None else options.read_noise)
+    learnt, speckle = stripe_speckle.analyse(found, noise)
+    learnt = Noise(
+        options.gain_e or learnt.gain_e, learnt.read_noise if options.read_noise is None else options.read_noise
+    )
     if noise is None:
         table[:] = _METHODS[options.method](view, peaks[0], learnt)
-    peak = float(np.nanmedian(table[g.PEAK]))
-    variance = learnt.read_noise**2 + 1 / 12
-    matters = speckle.contrast > 0.03 and (speckle.contrast * peak) ** 2 > 0.5 * (variance + peak / learnt.gain_e)
-    if options.method == "centroid" or options.speckle == "off" or not (matters or options.speckle == "on"):
+    if options.method in ("centroid", "ridge") or options.speckle == "off":
         return learnt, 0.0
-    before = table[g.SIGMA].copy()
+    contrast = stripe_speckle.local_contrast(found, learnt, speckle.grain, table.shape[1])
+    if options.speckle == "on":
+        contrast = np.maximum(contrast, max(speckle.contrast, 0.05))
+    if not contrast.any():
+        return learnt, 0.0
+    before = table[t.SIGMA].copy()
     stripe_speckle.refit_lines(
-        view.pixels, view.dark, view.layout, learnt.gain_e, variance, speckle.contrast, speckle.grain,
+        view.pixels, view.dark, view.layout, learnt.gain_e, learnt.read_noise**2 + 1 / 12, contrast, speckle.grain,
         float(view.saturation), stripe_speckle.usual_widths(table), table,
     )  # fmt: skip
-    clipped = table[g.CLIPPED] > 0  # these keep their fit, but are no better than their neighbours
-    if clipped.any() and not clipped.all():
-        table[g.SIGMA, clipped] *= np.nanmedian((table[g.SIGMA] / before)[~clipped])
-    table[g.MISFIT] = np.minimum(table[g.MISFIT], 1.0)  # the speckle, which sigma now holds
-    table[g.ASYMMETRY_SIGMA] += speckle.contrast * math.sqrt(speckle.grain)
-    return learnt, speckle.contrast
+    clipped = (table[t.CLIPPED] > 0) & (contrast > 0)  # these keep their fit, but are no better than their neighbours
+    if clipped.any():
+        others = (table[t.SIGMA] / before)[~clipped & (contrast > 0)]
+        table[t.SIGMA, clipped] *= np.nanmedian(others) if len(others) else 1.0
+    table[t.MISFIT, contrast > 0] = 1.0  # sigma holds it now
+    table[t.ASYMMETRY_SIGMA] += contrast * math.sqrt(speckle.grain)
+    return learnt, float(np.median(contrast))
 
 
 def _stripe(
     along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, contrast: float, saturation: int,
     options: StripeOptions,
 ) -> Stripe:  # fmt: skip
-    """The answers of a table, after its lines have been judged."""
-    from ranging import stripe_gaussian as g
-    from ranging.stripe_judge import judge
+    """Judge the lines of a table and hand over its answers."""
+    from ranging.stripe_judge import compare, judge, stretches
 
-    threshold = options.threshold
-    if threshold is None:
-        threshold = 6.0 * math.sqrt(noise.read_noise**2 + 1 / 12)
     reason = np.empty(table.shape[1], np.uint8)
     judge(
-        table, peaks, threshold, float(saturation), options.minimum_width, options.maximum_width,
+        table, peaks, _threshold(options, noise), float(saturation), options.minimum_width, options.maximum_width,
         options.two_peaks, options.edge, reason,
     )  # fmt: skip
+    if options.neighbours:
+        begin, end = np.empty((2, table.shape[1]), np.int32)
+        count = stretches(table, reason, begin, end)
+        if count < 0.2 * np.count_nonzero(reason == 0):  # else it is no stripe that goes on from line to line
+            compare(table, reason, count, begin, end, options.narrowing)
     return Stripe(
         along=along,
-        position=table[g.POSITION],
-        sigma=table[g.SIGMA],
-        width=table[g.WIDTH],
-        peak=table[g.PEAK],
+        position=table[t.POSITION],
+        sigma=table[t.SIGMA],
+        width=table[t.WIDTH],
+        peak=table[t.PEAK],
         reason=reason,
-        floor=table[g.FLOOR],
-        asymmetry=table[g.ASYMMETRY],
+        floor=table[t.FLOOR],
+        asymmetry=table[t.ASYMMETRY],
         noise=noise,
         speckle=contrast,
     )
@@ -243,14 +261,53 @@ def _peaks(image: Image, dark: Image, has_dark: bool, along: Along, half: int) -
 
 def _gaussian(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
     """Maximum likelihood of a Gaussian profile: at the bound of Cramer and Rao for shot and read noise."""
-    from ranging import stripe_gaussian as g
+    from ranging.stripe_gaussian import fit_lines
 
-    table = np.empty((g.ROWS, view.layout[0]))
+    table = np.empty((t.ROWS, view.layout[0]))
     variance = noise.read_noise**2 + 1 / 12
-    g.fit_lines(view.pixels, view.dark, view.layout, place, noise.gain_e, variance, float(view.saturation), table)
+    fit_lines(view.pixels, view.dark, view.layout, place, noise.gain_e, variance, float(view.saturation), table)
     return table
 
 
-_METHODS: dict[str, Callable[[_View, NDArray[np.int32], Noise], Array]] = {"auto": _gaussian, "gaussian": _gaussian}
+def _centroid(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
+    """Centre of mass, as a reference."""
+    from ranging.stripe_centroid import centroid_lines
+
+    table = _gaussian(view, place, noise)
+    centroid_lines(view.pixels, view.dark, view.layout, noise.gain_e, noise.read_noise**2 + 1 / 12, table)
+    return table
 
 
+def _ridge(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
+    """Ridge of the smoothed image, across which the brightness falls fastest: for tilted and curved stripes."""
+    from ranging.stripe_ridge import ridge_lines
+
+    table = _gaussian(view, place, noise)
+    width = table[t.WIDTH][np.isfinite(table[t.WIDTH])]
+    scale = min(max(float(np.median(width)) if len(width) else 1.5, 0.8), 6.0)
+    ridge_lines(view.pixels, view.dark, view.layout, scale, noise.gain_e, noise.read_noise**2 + 1 / 12, table)
+    return table
+
+
+_METHODS: dict[str, Callable[[_View, NDArray[np.int32], Noise], Array]] = {
+    "auto": _gaussian,
+    "gaussian": _gaussian,
+    "centroid": _centroid,
+    "ridge": _ridge,
+}
+
+
+def _choose(view: _View, which: Which, threshold: float) -> NDArray[np.int32]:
+    """Places (lines,) of the peaks that were asked for; -1 where a line has none."""
+    from ranging import stripe_peaks
+
+    count = view.layout[0]
+    places, values = np.empty((count, stripe_peaks.MOST), np.int32), np.empty((count, stripe_peaks.MOST))
+    stripe_peaks.find_peaks(view.pixels, view.dark, view.layout, threshold, places, values)
+    if which == "first":
+        return np.ascontiguousarray(places[:, 0])
+    if which == "last":
+        return np.asarray(places.max(axis=1))
+    chosen = np.empty(count, np.int32)
+    stripe_peaks.follow(places, values, chosen)
+    return chosen

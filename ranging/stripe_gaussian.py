@@ -20,10 +20,28 @@ from numpy.typing import NDArray
 
 from calibration.geometry import Array
 from ranging.kernels import Pixels, compiled
+from ranging.stripe_table import (
+    ASYMMETRY,
+    ASYMMETRY_SIGMA,
+    CLIPPED,
+    CUT,
+    DIVERGED,
+    FLOOR,
+    GOOD,
+    MISFIT,
+    NO_FLANK,
+    NO_PEAK,
+    PEAK,
+    POSITION,
+    ROWS,
+    SIGMA,
+    STATE,
+    WIDTH,
+    Layout,
+)
 
 Single: TypeAlias = Any  # a float32 of the machine
 Lanes: TypeAlias = NDArray[np.float32]
-Layout: TypeAlias = tuple[int, int, int, int]  # lines, their length, steps of memory to the next line and the next pixel
 
 BATCH = 16  # lines
 NEAR = 8  # px; half window in which the flanks of most stripes are found
@@ -31,12 +49,6 @@ FAR = 24  # px; the longest half window
 WINGS = 3.5  # sigma; half window of the fit, before it is rounded up
 LONGEST = 2 * FAR + 1
 MASKED = 1e-6  # least weight of a clipped pixel
-
-# Rows of the table of results.
-POSITION, SIGMA, WIDTH, PEAK, FLOOR, ASYMMETRY, ASYMMETRY_SIGMA, MISFIT, CLIPPED, STATE = range(10)
-ROWS = 10
-# States of a line.
-GOOD, NO_PEAK, NO_FLANK, CUT, DIVERGED = range(5)
 
 
 @compiled
@@ -176,7 +188,11 @@ def fit_lines(
                 dp = f[6, m] / (a[m] * f[1, m])  # in units of s
                 dp = min(max(dp, np.float32(-1.0)), np.float32(1.0))
                 dw = min(max(dw, np.float32(-0.4)), np.float32(0.4))
-                moved[m] = max(abs(dp), np.float32(0.2) * max(abs(dw), abs(da) / a[m])) if state[m] == GOOD else np.float32(0.0)
+                moved[m] = (
+                    max(abs(dp), np.float32(0.2) * max(abs(dw), abs(da) / a[m]))
+                    if state[m] == GOOD
+                    else np.float32(0.0)
+                )
                 p[m] += s[m] * dp
                 s[m] = min(max(s[m] * (np.float32(1.0) + dw), np.float32(0.3)), np.float32(FAR))
                 a[m] = max(a[m] + da, np.float32(0.2) * a[m]) if state[m] == GOOD else a[m]
@@ -263,7 +279,7 @@ def _gather(
         for k in range(max(0, -offset), min(2 * reach + 1, length - offset)):
             at = i * line_step + (offset + k) * pixel_step
             value = np.float32(pixels[at])
-            over += value >= saturation
+            over += 1 if value >= saturation else 0
             if has_dark:
                 value -= np.float32(dark[at])
             y[k, m] = value

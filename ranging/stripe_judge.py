@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from calibration.geometry import Array, Codes
 from calibration.reason import Reason
 from ranging.kernels import compiled
-from ranging.stripe_gaussian import (
+from ranging.stripe_table import (
     ASYMMETRY,
     ASYMMETRY_SIGMA,
     CLIPPED,
@@ -19,6 +19,7 @@ from ranging.stripe_gaussian import (
     NO_FLANK,
     NO_PEAK,
     PEAK,
+    POSITION,
     ROWS,
     SIGMA,
     STATE,
@@ -36,6 +37,11 @@ OUT_OF_VIEW = int(Reason.OUT_OF_VIEW)
 
 OVEREXPOSED = 4.0  # times the clipping level: beyond, a plateau of 3.3 sigma hides all but the tails
 SIGNIFICANT = 4.0  # standard deviations by which an asymmetry must exceed what is allowed
+JUMP = 1.25  # px, step between lines, unlike the steps before and after, at which a stretch of stripe ends
+GAP = 3  # lines that may be missing within a stretch
+BLOCK = 31  # lines over which the usual width is the median
+PULL = 1.2  # shift of a cut Gaussian over its loss of width: 1.0 for a cut at 2 sigma, 1.4 at 1 sigma
+LEAN = 2.0  # shift of the maximum likelihood position over sigma times asymmetry, in round numbers
 
 
 @compiled
@@ -64,10 +70,8 @@ def judge(
         elif state == CUT:
             code = OUT_OF_VIEW
         elif state == NO_FLANK:
-            if peak < 2.0 * threshold:  # the floor of noise that is looked for far and wide lies deeper
-                code = NO_LIGHT
-            else:
-                code = SATURATED if top >= saturation else TOO_WIDE
+            # The floor of noise that is looked for far and wide lies deeper: hence twice the threshold.
+            code = NO_LIGHT if peak < 2.0 * threshold else SATURATED if top >= saturation else TOO_WIDE
         elif state != GOOD:
             code = EDGE
         elif width > widest:
@@ -88,3 +92,87 @@ def judge(
             continue
         if table[MISFIT, i] > 2.0:
             table[SIGMA, i] *= np.sqrt(0.5 * table[MISFIT, i])
+
+
+@compiled
+def stretches(table: Array, reason: Codes, begin: NDArray[np.int32], end: NDArray[np.int32]) -> int:
+    """First and last lines of the unbroken stretches of stripe; returns how many there are.
+
+    Two ranged lines belong together if they are at most ``GAP`` lines apart, and their step a line is below ``JUMP``
+    px or like the step before or after it.
+    """
+    lines = np.flatnonzero(reason == RANGED)
+    count = 0
+    for k in range(len(lines)):
+        broken = k == 0
+        if not broken:
+            here, before = lines[k], lines[k - 1]
+            step = (table[POSITION, here] - table[POSITION, before]) / (here - before)
+            broken = here - before > GAP
+            if not broken and abs(step) > JUMP:
+                unlike = abs(step)
+                if k > 1:
+                    other = (table[POSITION, before] - table[POSITION, lines[k - 2]]) / (before - lines[k - 2])
+                    unlike = min(unlike, abs(step - other))
+                if k + 1 < len(lines):
+                    other = (table[POSITION, lines[k + 1]] - table[POSITION, here]) / (lines[k + 1] - here)
+                    unlike = min(unlike, abs(step - other))
+                broken = unlike > JUMP
+        if broken:
+            begin[count] = lines[k]
+            count += 1
+        end[count - 1] = lines[k]
+    return count
+
+
+@compiled
+def compare(
+    table: Array, reason: Codes, count: int, begin: NDArray[np.int32], end: NDArray[np.int32], narrowing: float
+) -> None:
+    """Find half-seen lines by their neighbours: at the ends of a stretch, and where it is narrower than usual.
+
+    The first and the last line of a stretch mix what lies on either side of the edge, and have the reason EDGE unless
+    they are the first or last of the image. A Gaussian of which an edge cuts off a part loses width before anything
+    else: below ``narrowing`` times the median width of its stretch (by more than 1.5 standard deviations) a line has the
+    reason EDGE; what it lost short of that enlarges sigma by the shift that such a cut causes, and asymmetry likewise.
+    """
+    total = table.shape[1]
+    block = np.empty(BLOCK)
+    for c in range(count):
+        first, last = int(begin[c]), int(end[c])
+        blocks = max(1, (last - first + 1) // BLOCK)
+        medians = np.empty(blocks)
+        centres = np.empty(blocks)
+        for q in range(blocks):
+            centre = first + (2 * q + 1) * (last - first + 1) // (2 * blocks)
+            n = 0
+            for i in range(max(first, centre - BLOCK // 2), min(last, centre + BLOCK // 2) + 1):
+                if reason[i] == RANGED:
+                    block[n] = table[WIDTH, i]
+                    n += 1
+            medians[q] = np.median(block[:n]) if n > 0 else np.nan
+            centres[q] = centre
+        q = 0
+        for i in range(first, last + 1):
+            if reason[i] != RANGED:
+                continue
+            while q + 1 < blocks and i > centres[q + 1]:
+                q += 1
+            usual = medians[q]
+            if q + 1 < blocks and i > centres[q]:
+                share = (i - centres[q]) / (centres[q + 1] - centres[q])
+                usual += share * (medians[q + 1] - medians[q])
+            width, sigma = table[WIDTH, i], table[SIGMA, i]
+            at_end = (i == first and first > 0) or (i == last and last < total - 1)
+            if at_end or width + 1.5 * sigma < narrowing * usual:
+                reason[i] = EDGE
+            else:
+                lost = max(0.0, usual - width - 2.0 * sigma)
+                lean = max(0.0, abs(table[ASYMMETRY, i]) - 2.0 * table[ASYMMETRY_SIGMA, i])
+                shift = max(PULL * lost, LEAN * lean * width)
+                if shift > 0.0:
+                    table[SIGMA, i] = np.sqrt(sigma * sigma + shift * shift)
+            if reason[i] != RANGED:
+                for row in range(ROWS):
+                    if row != STATE:
+                        table[row, i] = np.nan

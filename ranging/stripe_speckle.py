@@ -19,10 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.geometry import Array, Bools
+from calibration.geometry import Array
 from ranging.background import Noise
 from ranging.kernels import Pixels, compiled
-from ranging.stripe_gaussian import FAR, FLOOR, GOOD, LONGEST, PEAK, POSITION, SIGMA, STATE, WIDTH
+from ranging.stripe_gaussian import FAR, LONGEST
+from ranging.stripe_table import FLOOR, GOOD, PEAK, POSITION, SIGMA, STATE, WIDTH, Layout
 
 GRAINS = (0.3, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # px, trial values of the correlation length
 LAGS = 5  # px, farthest products of residuals that are looked at
@@ -42,16 +43,16 @@ class Speckle:
 def refit_lines(
     pixels: Pixels,
     dark: Pixels,
-    layout: tuple[int, int, int, int],
+    layout: Layout,
     gain_e: float,
     variance: float,
-    contrast: float,
+    contrast: Array,
     grain: float,
     saturation: float,
     usual_width: Array,
     table: Array,
 ) -> None:
-    """Fit the lines that are GOOD in ``table`` again, under the covariance of speckle.
+    """Fit the lines that are GOOD in ``table`` and have a ``contrast`` (N,) again, under the covariance of speckle.
 
     A grain can pass for a narrow stripe: where the width is less than two thirds of the ``usual_width`` (N,) px, the
     line starts anew from the centre of mass of the usual width. Lines with clipped pixels keep their fit. Sigma becomes
@@ -65,12 +66,13 @@ def refit_lines(
     low = np.empty((most, most))
     alike = np.empty(most)
     for d in range(most):
-        alike[d] = contrast * contrast * math.exp(-((d / grain) ** 2))
+        alike[d] = math.exp(-((d / grain) ** 2))
     f = np.empty((4, 4))
     t = np.empty(4)
     for i in range(count):
-        if table[STATE, i] != GOOD:
+        if table[STATE, i] != GOOD or contrast[i] <= 0.0:
             continue
+        c2 = contrast[i] * contrast[i]
         p, s, a, b = table[POSITION, i], table[WIDTH, i], table[PEAK, i], table[FLOOR, i]
         if s < 0.67 * usual_width[i] or s > 1.5 * usual_width[i]:
             s = usual_width[i]
@@ -114,7 +116,7 @@ def refit_lines(
             # Cholesky factor of the covariance, and the whitened derivatives and residuals.
             for k in range(n):
                 for j in range(k + 1):
-                    total = alike[k - j] * a * a * rows[1, k] * rows[1, j]
+                    total = c2 * alike[k - j] * a * a * rows[1, k] * rows[1, j]
                     if j == k:
                         total += variance + a * rows[1, k] / gain_e
                     for q in range(j):
@@ -178,40 +180,38 @@ def _solve(f: Array, t: Array) -> bool:
 
 
 def usual_widths(table: Array) -> Array:
-    """Running median (N,) px of the widths of the lines that have one, carried over to those between."""
+    """Follow the widths (N,) px by a running median over the lines that have one, carried over to those between."""
     good = np.flatnonzero(np.isfinite(table[WIDTH]))
     if len(good) == 0:
         return np.ones(table.shape[1])
     return np.asarray(np.interp(np.arange(table.shape[1]), good, running_median(table[WIDTH, good])))
 
 
-def analyse(
-    pixels: Pixels, dark: Pixels, layout: tuple[int, int, int, int], table: Array, saturation: float, known: Noise | None
-) -> tuple[Noise, Speckle] | None:
-    """Noise of the camera and speckle of the light, from how a stripe differs from its own running median.
+@dataclass(frozen=True, slots=True, eq=False)
+class Leftover:
+    """What the pixels of steady lines leave over when each line takes the running medians of its neighbours."""
 
-    Amplitude, width and floor of every line are replaced by their medians over neighbouring lines, the position is its
-    own: what the pixels then leave over has the covariance S above, less the part that the position took up. Products of
-    residuals up to ``LAGS`` pixels apart are linear in read^2, 1 / gain and C^2 for every grain, and are solved for all
-    three (or for C alone where the noise is ``known``).
+    line: NDArray[np.int64]  # (M,) line of the image
+    left: Array  # (M, 2 REACH + 1) grey levels, scaled to the common peak
+    peak: float  # grey levels, common to all
+    width: float  # px, median
 
-    Returns ``None`` where fewer than ``LEAST_LINES`` lines are usable.
+
+def leftover(pixels: Pixels, dark: Pixels, layout: Layout, table: Array, saturation: float) -> Leftover | None:
+    """Amplitude, width and floor of every line are replaced by their running medians; the position stays its own.
+
+    ``None`` where fewer than ``LEAST_LINES`` lines are usable.
     """
-    count, length, line_step, pixel_step = layout
+    _, length, line_step, pixel_step = layout
     good = np.flatnonzero((table[STATE] == GOOD) & (table[PEAK] > 0) & np.isfinite(table[SIGMA]))
     if len(good) < LEAST_LINES:
         return None
-    if len(good) > 768:
-        start = (len(good) - 768) // 2
-        good = good[start : start + 768]
     p = table[POSITION, good]
-    smooth = {row: running_median(table[row, good]) for row in (PEAK, WIDTH, FLOOR)}
-    s = smooth[WIDTH]
-    steady = (np.abs(table[PEAK, good] / smooth[PEAK] - 1) < 1.5) & (np.abs(table[WIDTH, good] / s - 1) < 0.8)
+    peak, s, floor = (running_median(table[row, good]) for row in (PEAK, WIDTH, FLOOR))
     middle = np.rint(p).astype(np.int64)
-    steady &= (middle >= REACH) & (middle < length - REACH) & (smooth[PEAK] > 0)
-    offsets = np.arange(-REACH, REACH + 1)
-    where = middle[:, None] + offsets
+    steady = (np.abs(table[PEAK, good] / peak - 1) < 1.5) & (np.abs(table[WIDTH, good] / s - 1) < 0.8)
+    steady &= (middle >= REACH) & (middle < length - REACH) & (peak > 0)
+    where = middle[:, None] + np.arange(-REACH, REACH + 1)
     at = good[:, None] * line_step + np.clip(where, 0, length - 1) * pixel_step
     y = pixels[at].astype(np.float64)
     steady &= (y < saturation).all(axis=1)
@@ -220,46 +220,81 @@ def analyse(
     if np.count_nonzero(steady) < LEAST_LINES:
         return None
     u = (where - p[:, None]) / s[:, None]
-    m = smooth[PEAK][:, None] * np.exp(-0.5 * u * u)
-    left = (y - smooth[FLOOR][:, None] - m)[steady]
-    peak, width = float(np.median(smooth[PEAK][steady])), float(np.median(s[steady]))
-    # A constant shape that is not Gaussian is no noise.
-    left -= np.median(left, axis=0)
-    scale = (peak / smooth[PEAK][steady])[:, None]
-    left *= scale
-    products = np.zeros((LAGS, 2 * REACH + 1))
+    left = (y - floor[:, None] - peak[:, None] * np.exp(-0.5 * u * u))[steady]
+    left -= np.median(left, axis=0)  # a constant shape that is not Gaussian is no noise
+    common = float(np.median(peak[steady]))
+    left *= (common / peak[steady])[:, None]
+    return Leftover(good[steady], left, common, float(np.median(s[steady])))
+
+
+def analyse(found: Leftover, known: Noise | None) -> tuple[Noise, Speckle]:
+    """Noise of the camera and speckle of the light, from how a stripe differs from its own running median.
+
+    The residuals have the covariance S above, less the part that the position took up: products of residuals up to
+    ``LAGS`` pixels apart are linear in read^2, 1 / gain and C^2 for every grain. The noise is what the quieter half of
+    the stripe shows (the median over blocks of lines, since texture is local); the speckle is the mean of all lines
+    under that noise.
+    """
+    if known is None:
+        blocks = np.array_split(found.left, max(1, len(found.left) // 32))
+        quiet = np.median([_products(block) for block in blocks], axis=0)
+        known, _ = _solve_noise(quiet, found.peak, found.width, None)
+    return known, _solve_noise(_products(found.left, 0.005), found.peak, found.width, known)[1]
+
+
+def local_contrast(found: Leftover, noise: Noise, grain: float, count: int) -> Array:
+    """Contrast (count,) of every line from the lines about it; 0 where shot and read noise explain the residuals."""
+    _, constant, linear, square = _expected(found.peak, found.width, grain, noise)
+    quiet = (noise.read_noise**2 + 1 / 12) * constant[0] + linear[0] / noise.gain_e
+    total = quiet + 0.01 * square[0]
+    weight = square[0] / total**2
+    excess = ((found.left**2 - quiet) @ weight) / float(square[0] @ weight)
+    kernel = np.ones(25) / 25.0
+    mean = np.convolve(np.pad(excess, 12, mode="edge"), kernel, mode="valid")
+    at_peak = (noise.read_noise**2 + 1 / 12 + found.peak / noise.gain_e) / found.peak**2
+    spread = np.where(mean > max(0.5 * at_peak, 1e-3), np.sqrt(np.maximum(mean, 0.0)), 0.0)
+    lines = np.arange(count)
+    return np.asarray(spread[np.clip(np.searchsorted(found.line, lines), 0, len(found.line) - 1)])
+
+
+def _products(left: Array, share: float = 0.0) -> Array:
+    """Mean products (LAGS, pixels) of residuals 0, 1, 2 ... px apart."""
+    n = left.shape[1]
+    products = np.zeros((LAGS, n))
     for d in range(LAGS):
-        both = left[:, : 2 * REACH + 1 - d] * left[:, d:]
-        products[d, : 2 * REACH + 1 - d] = _trimmed_mean(both)
-    return _solve_noise(products, peak, width, known)
+        products[d, : n - d] = _trimmed_mean(left[:, : n - d] * left[:, d:], share)
+    return products
+
+
+def _expected(peak: float, width: float, grain: float, noise: Noise) -> tuple[Array, Array, Array, Array]:
+    """Profile m, and the products (LAGS, pixels) that a unit of read^2, of 1 / gain and of C^2 cause."""
+    x = np.arange(-REACH, REACH + 1)
+    u = x / width
+    m = peak * np.exp(-0.5 * u * u)
+    slope = m * u / width
+    weight = slope / (noise.read_noise**2 + 1 / 12 + m / noise.gain_e)
+    n = len(x)
+    left = np.eye(n) - np.outer(slope, weight) / np.sum(weight * slope)
+
+    def products(covariance: Array) -> Array:
+        covariance = left @ covariance @ left.T
+        out = np.zeros((LAGS, n))
+        for d in range(LAGS):
+            out[d, : n - d] = np.diagonal(covariance, d)
+        return out
+
+    rho = np.exp(-(((x[:, None] - x[None, :]) / grain) ** 2))
+    return m, products(np.eye(n)), products(np.diag(m)), products(rho * np.outer(m, m))
 
 
 def _solve_noise(products: Array, peak: float, width: float, known: Noise | None) -> tuple[Noise, Speckle]:
     """Read noise, gain, contrast and grain that explain mean products of residuals (LAGS, pixels)."""
-    x = np.arange(-REACH, REACH + 1)
-    u = x / width
-    g = np.exp(-0.5 * u * u)
-    m = peak * g
-    slope = m * u / width
-    n = len(x)
+    n = products.shape[1]
     valid = np.arange(n)[None, :] + np.arange(LAGS)[:, None] < n
-
-    def spread(cov: Array, weight: Array) -> Array:
-        taken = weight * slope / np.sum(weight * slope * slope)
-        left = np.eye(n) - np.outer(slope, taken)
-        cov = left @ cov @ left.T
-        out = np.zeros((LAGS, n))
-        for d in range(LAGS):
-            out[d, : n - d] = np.diagonal(cov, d)
-        return out
-
     guess = known or Noise(30.0, 1.2)
-    fit_weight = 1.0 / (guess.read_noise**2 + 1 / 12 + m / guess.gain_e)
-    constant, linear = spread(np.eye(n), fit_weight), spread(np.diag(m), fit_weight)
     best = (math.inf, guess, Speckle(0.0, 1.0))
     for grain in GRAINS:
-        rho = np.exp(-(((x[:, None] - x[None, :]) / grain) ** 2))
-        square = spread(rho * np.outer(m, m), fit_weight)
+        _, constant, linear, square = _expected(peak, width, grain, guess)
         total = np.maximum(products[0], 1e-3)
         for _ in range(3):
             weight = 1.0 / np.sqrt(total[None, :] * np.stack([np.roll(total, -d) for d in range(LAGS)]))
@@ -274,7 +309,7 @@ def _solve_noise(products: Array, peak: float, width: float, known: Noise | None
             total = np.maximum(found[0] * constant[0] + found[1] * linear[0] + found[2] * square[0], 1e-3)
         misfit = float(np.sum((design @ answer - target * weight[use]) ** 2))
         if misfit < best[0]:
-            noise = known or Noise(1.0 / max(found[1], 1e-4), math.sqrt(max(found[0] - 1 / 12, 0.04)))
+            noise = known or Noise(float(1.0 / max(found[1], 1e-4)), math.sqrt(max(found[0] - 1 / 12, 0.04)))
             best = (misfit, noise, Speckle(math.sqrt(max(found[2], 0.0)), grain))
     return best[1], best[2]
 
@@ -301,7 +336,7 @@ def running_median(values: Array, half: int = 10) -> Array:
     return np.asarray(np.median(windows, axis=1))
 
 
-def _trimmed_mean(values: Array, share: float = 0.005) -> Array:
+def _trimmed_mean(values: Array, share: float) -> Array:
     """Mean of each column without its ``share`` lowest and highest values."""
     cut = int(len(values) * share)
     ordered = np.sort(values, axis=0)

@@ -117,7 +117,7 @@ def _finish_jig(
     planes = [
         (s.plan, placed[s.plan.name] if s.plan.name in placed else locate_target(fit.camera, s.marks)) for s in seen
     ]
-    lasers, views = find_lasers(plan, fit.camera, planes)
+    lasers, views = find_lasers(plan, fit.camera, planes, curved=None)
     stages = find_stages(plan, fit.camera)
     verdict = judge_jig(plan, seen, fit, lasers)
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, fit, None)
@@ -130,7 +130,7 @@ def _finish_freehand(plan: CalibrationPlan, seen: list[SeenPlane], size: tuple[i
         raise CalibrationError(f"{plan.path}: {error}") from error
     placed = {view.name: view for view in fit.views}
     planes = [(s.plan, placed[s.plan.name]) for s in seen if s.plan.name in placed]
-    lasers, views = find_lasers(plan, fit.camera, planes)
+    lasers, views = find_lasers(plan, fit.camera, planes, curved=False)
     stages = find_stages(plan, fit.camera)
     verdict = judge_freehand(plan, seen, fit, lasers)
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, None, fit)

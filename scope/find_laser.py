@@ -37,9 +37,12 @@ class _Shot:
 
 
 def find_lasers(
-    plan: CalibrationPlan, camera: Camera, planes: list[tuple[PlanePlan, PlaneMarks]]
+    plan: CalibrationPlan, camera: Camera, planes: list[tuple[PlanePlan, PlaneMarks]], *, curved: bool | None
 ) -> tuple[dict[str, Laser], tuple[LaserView, ...]]:
     """Fit every laser that has images; a plan without any gives none.
+
+    ``curved`` is that of `calibration.laser.fit_laser`: None where the planes' places are known and a curved sheet can be
+    told; False where they were estimated, since errors of their poses look like a curved sheet.
 
     Raises
     ------
@@ -51,7 +54,7 @@ def find_lasers(
     for laser in plan.lasers:
         shots = [_shot(plane, marks, laser.name, camera.size) for plane, marks in planes if laser.name in plane.lasers]
         if shots:
-            lasers[laser.name], seen = _fit(plan, laser, camera, shots)
+            lasers[laser.name], seen = _fit(plan, laser, camera, shots, curved=curved)
             views += seen
     return lasers, tuple(views)
 
@@ -75,7 +78,9 @@ def _shot(plane: PlanePlan, marks: PlaneMarks, laser: str, size: tuple[int, int]
     return _Shot(plane, marks, image, dark)
 
 
-def _fit(plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_Shot]) -> tuple[Laser, list[LaserView]]:
+def _fit(
+    plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_Shot], *, curved: bool | None
+) -> tuple[Laser, list[LaserView]]:
     has_dark = all(shot.background is not None for shot in shots)
     channel = choose_channel([shot.image for shot in shots], laser.channel, laser_off=has_dark)
     grays = [to_gray(shot.image, channel) for shot in shots]
@@ -95,7 +100,7 @@ def _fit(plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_S
         stripes.append(StripePoints(shot.plane.name, points, sigma))
         views.append(LaserView(laser.name, shot.plane.name, image, pixels))
     try:
-        fit = fit_laser(laser.name, stripes, along=along, channel=channel, origin=laser.origin)
+        fit = fit_laser(laser.name, stripes, along=along, channel=channel, origin=laser.origin, curved=curved)
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
     return fit, views
@@ -106,7 +111,7 @@ def _along(images: list[Image], darks: list[Image | None]) -> Along:
         find_along(image if dark is None else np.asarray(cv2.subtract(image, dark)))
         for image, dark in zip(images, darks, strict=True)
     ]
-    return max(("rows", "columns"), key=votes.count)  # type: ignore[return-value]
+    return max(("rows", "columns"), key=votes.count)
 
 
 def _on_target(stripe: Stripe, marks: PlaneMarks) -> Bools:

@@ -19,9 +19,8 @@ from scope.optics import ExactCamera, ExactLaser, exact_rays, project
 from scope.solids import Scene
 
 _REACH = 4.5  # standard deviations of light or blur, beyond which there is none
-_FINE = 3  # cells beside edges, of which one is enough elsewhere, are divided by this
 # where a cell beside an edge is sampled: no two samples share a row or a column, so that upright edges fall between all
-_ROOKS = (np.stack([np.arange(8), 3 * np.arange(8) % 8], axis=1) + 0.5) / 8
+_ROOKS = (np.stack([np.arange(16), 7 * np.arange(16) % 16], axis=1) + 0.5) / 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,19 +195,11 @@ def _lit_pixels(camera: ExactCamera, laser: ExactLaser, scene: Scene, pad: int) 
     return np.asarray(cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
 
 
-def _samples(camera: ExactCamera, laser: ExactLaser, depth: float, blur: float) -> tuple[int, int]:
-    """Cells a pixel along u and v with which the lattice's aliasing stays under 1e-5 of the stripe's light.
-
-    Across the stripe its own width and the lens limit the band. Along it one cell is enough behind a lens of half a
-    pixel: a pixel's answer has a zero at one cycle a pixel, which the lens flattens, and the light changes slowly.
-    """
+def _samples(camera: ExactCamera, laser: ExactLaser, depth: float, blur: float) -> int:
+    """Cells a pixel and axis with which the lattice's aliasing stays under 1e-5 of the stripe's light."""
     stripe = max(laser.width * min(camera.focal) / depth, 1e-3)
     together = 1.0 / np.sqrt(1.0 / stripe**2 + 1.0 / blur**2)
-    m = int(np.clip(np.ceil(0.763 / together), 2, 8))
-    tilt = np.abs(laser.along[:2])
-    if blur < 0.5 or tilt.min() > 0.5 * tilt.max():
-        return m, m
-    return (1, m) if tilt[0] > tilt[1] else (m, 1)
+    return int(np.clip(np.ceil(0.763 / together), 2, 8))
 
 
 def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_px: float) -> Array:
@@ -218,8 +209,9 @@ def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_
     Surfaces are Lambertian and opaque; light that falls on them twice is left out.
 
     Light is sampled on a lattice over the pixels that the sheet reaches and nowhere else, at the middle of each cell;
-    cells beside edges of parts, creases and shadows are sampled every sixteenth of a pixel or finer. ``ValueError`` for a
-    blur under 0.2 px.
+    cells beside edges of parts, creases and shadows are sampled sixteen times, and their light is put in
+    their middle: there pixels err by up to 2 % of the peak, elsewhere by less than 0.1 %. ``ValueError`` for a blur
+    under 0.2 px.
     """
     _check_blur(blur_px)
     columns, rows = camera.size
@@ -233,32 +225,19 @@ def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_
     mask = mask[top:bottom, left:right]
     v0, u0 = top - pad, left - pad  # the pixel of the mask's first row and column
     far = _depth(camera, scene, mask, u0, v0)
-    mu, mv = _samples(camera, laser, far, blur_px)
-    cells = np.repeat(np.repeat(mask, mv, axis=0), mu, axis=1)
+    m = _samples(camera, laser, far, blur_px)
+    cells = np.repeat(np.repeat(mask, m, axis=0), m, axis=1)
     j, i = np.nonzero(cells)
-    centre = np.stack([u0 + (i + 0.5) / mu - 0.5, v0 + (j + 0.5) / mv - 0.5], axis=1)
+    centre = np.stack([u0 + (i + 0.5) / m - 0.5, v0 + (j + 0.5) / m - 0.5], axis=1)
     values, part, normal = _radiance(camera, laser, scene, centre)
-    # the lattice has _FINE cells where one is enough, so that light at edges finds its place
-    ku, kv = (_FINE if m == 1 else 1 for m in (mu, mv))
-    lattice = np.zeros((cells.shape[0] * kv, cells.shape[1] * ku))
+    lattice = np.zeros(cells.shape)
     edge = _edges(cells.shape, j, i, part, normal, values)
-    # beside an edge a long cell's light must lie along it, not in its middle
-    marked = np.zeros(cells.shape, dtype=np.uint8)
-    marked[j[edge], i[edge]] = 1
-    beside = ~edge & (cv2.dilate(marked, np.ones((1 + 4 * (kv > 1), 1 + 4 * (ku > 1)), np.uint8))[j, i] > 0)
-    j, i = j * kv, i * ku
-    plain = ~edge & ~beside
-    lattice[j[plain] + kv // 2, i[plain] + ku // 2] = values[plain] * (ku * kv)
-    for some, within in ((beside, np.array([[0.5, 0.5]])), (edge, _ROOKS)):
-        if not some.any():
-            continue
-        for y in range(kv):
-            for x in range(ku):
-                shift = np.stack([(x + within[:, 0]) / ku - 0.5, (y + within[:, 1]) / kv - 0.5], axis=1) / [mu, mv]
-                fine = (centre[some][:, None, :] + shift).reshape(-1, 2)
-                light = _radiance(camera, laser, scene, fine)[0].reshape(-1, len(within))
-                lattice[j[some] + y, i[some] + x] = light.mean(axis=1)
-    found = _integrate(lattice, (mu * ku, mv * kv), pad, blur_px)  # starts pad pixels before the mask
+    lattice[j[~edge], i[~edge]] = values[~edge]
+    if edge.any():
+        fine = centre[edge][:, None, :] + (_ROOKS - 0.5) / m
+        light = _radiance(camera, laser, scene, fine.reshape(-1, 2))[0].reshape(-1, len(_ROOKS))
+        lattice[j[edge], i[edge]] = light.mean(axis=1)
+    found = _integrate(lattice, m, pad, blur_px)  # starts pad pixels before the mask
     v1, u1 = v0 - pad, u0 - pad
     t, s = max(v1, 0), max(u1, 0)
     b, r = min(v1 + found.shape[0], rows), min(u1 + found.shape[1], columns)
@@ -275,15 +254,13 @@ def _depth(camera: ExactCamera, scene: Scene, mask: Bools, u0: int, v0: int) -> 
     return float(np.max(hits.points[hits.found, 2], initial=1.0))
 
 
-def _integrate(lattice: Array, cells: tuple[int, int], pad: int, blur: float) -> Array:
-    """Pixels from light on a lattice of ``cells`` a pixel along u and v, ``pad`` pixels larger on every side."""
-    along_u, along_v = (_answer((np.arange(-pad * m, pad * m + m) - (m - 1) / 2) / m, blur) / m for m in cells)
-    mu, mv = cells
-    lattice = np.pad(lattice, ((pad * mv, pad * mv), (pad * mu, pad * mu)))
+def _integrate(lattice: Array, m: int, pad: int, blur: float) -> Array:
+    """Pixels from light on a lattice of m cells a pixel, ``pad`` pixels larger on every side."""
+    kernel = _answer((np.arange(-pad * m, pad * m + m) - (m - 1) / 2) / m, blur) / m
     filtered = cv2.sepFilter2D(
-        lattice, cv2.CV_64F, along_u, along_v, anchor=(pad * mu, pad * mv), borderType=cv2.BORDER_CONSTANT
+        np.pad(lattice, pad * m), cv2.CV_64F, kernel, kernel, anchor=(pad * m,) * 2, borderType=cv2.BORDER_CONSTANT
     )
-    return np.asarray(filtered[::mv, ::mu])
+    return np.asarray(filtered[::m, ::m])
 
 
 def _edges(

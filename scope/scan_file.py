@@ -97,7 +97,7 @@ def _read_part(part: Path, identity: dict[str, str]) -> list[Chunk]:
         told = _json_line(stream)
         if told != identity:
             raise FileError(f"{part}: is of another capture, rig or options; scan without --resume, or restore them")
-        chunks = []
+        chunks: list[Chunk] = []
         while (head := _json_line(stream)) is not None:
             chunk = _chunk(head, stream)
             if chunk is None or chunk.first != sum(c.frames for c in chunks):

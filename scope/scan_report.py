@@ -89,17 +89,24 @@ def scan_page(found: Scan, capture: str | Path) -> str:
 
 
 def add_views(page: Page, found: Scan) -> None:
-    """Pictures of the cloud from above and from the side, and of its sigma."""
+    """Pictures of the cloud from above and from the side, the camera's side up, and of its sigma."""
     x, y, z = np.eye(3)
-    points = found.cloud.points
-    page.image(pictures.cloud_from(points, points[:, 2], x, y), "seen along z, coloured by z", width=430)
+    cloud = found.cloud
+    height = np.median(cloud.points[:, 2])
+    above = cloud.sensors is not None and float(np.median(cloud.sensors.centre[:, 2])) > height
+    down = -z if above else z
     page.image(
-        pictures.cloud_from(points, found.cloud.intensity.astype(np.float64), x, z),
-        "seen along y (z down), coloured by brightness",
+        pictures.cloud_from(cloud.points, cloud.points[:, 2], x, -y if above else y),
+        "from the camera's side, coloured by z",
         width=430,
     )
     page.image(
-        pictures.cloud_from(points, found.cloud.sigma.astype(np.float64), x, y),
+        pictures.cloud_from(cloud.points, cloud.intensity.astype(np.float64), x, down),
+        "from the side, the camera above, coloured by brightness",
+        width=430,
+    )
+    page.image(
+        pictures.cloud_from(cloud.points, cloud.sigma.astype(np.float64), x, -y if above else y),
         "sigma: dark is certain, light is not",
         width=430,
     )

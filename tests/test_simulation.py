@@ -237,6 +237,24 @@ class TestStripes:
         assert np.abs(image - brute).max() < 2e-3
         assert np.nanmax(np.abs(centroids(image, 9) - centroids(brute, 9))) < 1e-3
 
+    def test_pixels_beside_edges_and_shadows_are_box_integrals_too(self):
+        camera = ExactCamera((40, 60), (400.0, 400.0), (19.0, 30.0), BENT)
+        turned = Pose.from_rotation_vector(np.array([0.0, 0.0, 0.2]), np.array([1.3, 0.0, 300.0]))
+        scene = Scene((*FLAT.parts, Part(Box((-4.0, -30.0, -3.0), (5.0, 30.0, 1.0)), turned)))
+        image = render_stripe(camera, ABOVE, scene, blur_px=0.6)
+        fine, pad = 12, 4
+        v, u = (np.mgrid[0 : 68 * fine, 0 : 48 * fine] + 0.5) / fine - 0.5 - pad
+        hits = scene.cast(exact_rays(camera, np.stack([u.ravel(), v.ravel()], axis=1)))
+        rays, distance = ABOVE.reach(hits.points)
+        light = np.exp(-0.5 * (distance / ABOVE.width) ** 2) * -np.einsum("ij,ij->i", rays.direction, hits.normal)
+        light = np.where(scene.lit(rays, hits.points), light, 0.0).reshape(68 * fine, 48 * fine)
+        blurred = cv2.GaussianBlur(light, (0, 0), 0.6 * fine)
+        brute = blurred.reshape(68, fine, 48, fine).mean(axis=(1, 3))[pad:-pad, pad:-pad]
+        assert len(np.unique(hits.part)) == 2
+        assert brute.max() > 0.5
+        assert np.abs(image - brute).max() < 0.02
+        assert np.abs(image - brute).mean() < 1e-3
+
     def test_truth_stands_on_sheet_solid_and_line_and_the_image_agrees(self):
         window = Window.tilted(20.0, 1.5, (0.2, -0.1), 50.0)
         camera = ExactCamera((320, 240), (400.0, 400.0), (155.0, 123.0), BENT, window)
@@ -627,9 +645,9 @@ class TestSession:
         assert turned.actual[0].apply(arm) == pytest.approx(expected)
         assert np.array_equal(turned.actual[1].matrix, turned.stated[1].matrix)
 
-    @pytest.mark.parametrize("name", ["rig-design.toml", "window-design.toml"])
+    @pytest.mark.parametrize("name", ["scope/demo_rig.toml", "examples/window-design.toml"])
     def test_the_examples_stand(self, name):
-        rig = VirtualRig.of(read_design(ROOT / "examples" / name))
+        rig = VirtualRig.of(read_design(ROOT / name))
         assert len(rig.design.jig.stand_offs) >= 4
         for pose in rig.actual:  # all of the grid is in view
             seen = project(rig.camera, pose.apply(rig.corners))
