@@ -25,7 +25,8 @@ from scope.region import Region
 class PoseOptions:
     """How a pose is searched and when it is believed."""
 
-    tolerance: float = 0.05  # mm, one sigma: by how much the part may differ from its mesh
+    tolerance: float = 0.05  # mm, one sigma: by how much the part may differ from its mesh, when poses are compared
+    form: float = 0.01  # mm, one sigma: no residual is known better than this, when a pose is refined
     starts: int = 800  # orientations tried
     candidates: int = 10  # poses weighed against each other
     least_explained: float = 0.6  # share of the points that must lie on the model (a clamp may hide and add some)
@@ -130,7 +131,7 @@ def _require_units(cloud: ScanCloud, model: Model, region: Region | None) -> Non
     points = cloud.points if region is None else cloud.points[region.contains(cloud.points)]
     if len(points) < segmentation.LEAST_POINTS:
         return
-    size = float(np.linalg.norm(np.subtract(*np.percentile(points, [99, 1], axis=0))))
+    size = segmentation.extent(points)
     ratio = size / model.diameter
     if 0.15 < ratio < 8:
         return
@@ -145,7 +146,7 @@ def _require_units(cloud: ScanCloud, model: Model, region: Region | None) -> Non
 def _locate(cloud: ScanCloud, rows: Ints, model: Model, surface: Surface, options: PoseOptions) -> PoseResult:
     """Search, refine and decide for one piece of the scan."""
     points = cloud.points[rows]
-    size = float(np.linalg.norm(np.subtract(*np.percentile(points, [99, 1], axis=0))))
+    size = segmentation.extent(points)
     if size > 1.6 * model.diameter:
         return _refused(
             model, rows,
@@ -263,8 +264,8 @@ def _decide(
     best = weighed[0]
     candidates = tuple(Candidate(e.pose, e.explained, e.blocked, e.covered, e.cost - best.cost) for e in weighed)
     points = cloud.points[rows]
-    reach = max(6 * float(np.median(sigma)), 0.3)
-    fit = refine(surface, best.pose, points, sigma, camera, reach=(reach,) * 2, floor=0.0)
+    reach = max(10 * float(np.median(sigma)), 0.5)
+    fit = refine(surface, best.pose, points, sigma, camera, reach=(reach,) * 2, floor=options.form)
     parameters = None
     if light is not None and light.sheet is not None and camera is not None:
         normal = light.camera_from_cloud[0].rotation.T @ light.sheet.normal
@@ -277,7 +278,7 @@ def _decide(
         settled = hold(surface, fit.pose, known.loose_motions, points[fit.used], sigma[fit.used], middle, model.diameter / 2)
         if settled is not None:
             rows_held = known.loose_motions / (0.5 * settled[1])[:, None]
-            fit = evaluate(surface, settled[0], points, sigma, camera, cut=reach, floor=0.0)
+            fit = evaluate(surface, settled[0], points, sigma, camera, cut=reach, floor=options.form)
             known = uncertainty(
                 fit, points, camera, cloud.sigma_cal[rows], parameters,
                 centre=middle, radius=model.diameter / 2, held=rows_held,

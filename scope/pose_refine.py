@@ -10,6 +10,9 @@ from calibration.geometry import Array, Bools, Pose
 from scope.pose_model import Surface
 
 
+TAILS = 6.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
     """A refined pose and the linear system it solves."""
@@ -32,6 +35,7 @@ def refine(
     *,
     reach: tuple[float, ...],
     floor: float,
+    tails: float = TAILS,
 ) -> Fit:
     """Iterated point-to-plane alignment (Chen & Medioni 1991) with Tukey weights and the points' own sigma.
 
@@ -45,7 +49,9 @@ def refine(
         mm; sigma is along the sighting ray, so that a surface seen at a slant is known better across it. Without the
         camera, sigma is taken across the surface.
     reach : tuple of float, mm
-        Where the weight ends, one a step.
+        Points further from the surface have no weight, one value a step.
+    tails : float
+        Where Tukey's weight ends, in standard deviations (made larger where the residuals are larger than claimed).
     floor : float
         Standard deviation, mm, that no residual is better than (form of the part, facets).
 
@@ -54,22 +60,28 @@ def refine(
     Fit
         Points beyond an edge, whose nearest surface point is not straight below them, have no weight.
     """
-    for step, cut in enumerate(reach):
-        fit = evaluate(surface, pose, points, sigma, camera, cut=cut, floor=floor)
+    for cut in reach:
+        fit = evaluate(surface, pose, points, sigma, camera, cut=cut, floor=floor, tails=tails)
         root = np.sqrt(fit.weight)[:, None]
         x = np.linalg.lstsq(root * fit.jacobian * _SCALE, -root[:, 0] * fit.residual, rcond=1e-7)[0] * _SCALE
         moved = Pose.from_rotation_vector(x[3:], np.zeros(3)).rotation
         pose = Pose(moved @ pose.rotation, pose.translation + x[:3])
-        if step >= 2 and step < len(reach) - 1 and cut == reach[step + 1] and np.linalg.norm(x[:3]) < 1e-4 > np.linalg.norm(x[3:]) * 100:
-            break
-    return evaluate(surface, pose, points, sigma, camera, cut=reach[-1], floor=floor)
+    return evaluate(surface, pose, points, sigma, camera, cut=reach[-1], floor=floor, tails=tails)
 
 
 _SCALE = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # 1 mm and 0.02 rad move a point 50 mm away alike
 
 
 def evaluate(
-    surface: Surface, pose: Pose, points: Array, sigma: Array, camera: Array | None, *, cut: float, floor: float
+    surface: Surface,
+    pose: Pose,
+    points: Array,
+    sigma: Array,
+    camera: Array | None,
+    *,
+    cut: float,
+    floor: float,
+    tails: float = TAILS,
 ) -> Fit:
     """Residuals, weights and derivatives at one pose; see `refine`."""
     closest, normal = surface.nearest(pose.inverse.apply(points))
@@ -85,9 +97,11 @@ def evaluate(
         slope = (ray * normal).sum(axis=1) / np.linalg.norm(ray, axis=1)
         facing = slope > 0.05
     variance = (sigma * slope) ** 2 + floor**2
-    share = (residual / cut) ** 2
-    used = (share < 1.0) & facing & (aside < 0.3 * sigma + 0.01)
-    weight = np.where(used, (1.0 - np.minimum(share, 1.0)) ** 2 / variance, 0.0)
+    used = (np.abs(residual) < cut) & facing & (aside < 0.3 * sigma + 0.01)
+    deviate = residual / np.sqrt(variance)
+    usual = 1.4826 * float(np.median(np.abs(deviate[used]))) if used.any() else 1.0
+    share = (deviate / (tails * max(usual, 1.0))) ** 2
+    weight = np.where(used & (share < 1.0), (1.0 - np.minimum(share, 1.0)) ** 2 / variance, 0.0)
     # the point turns by -w about the model's origin, seen from the model
     jacobian = np.concatenate([-normal, -np.cross(on, normal)], axis=1)
     return Fit(pose, jacobian, weight, variance, residual, used, normal)

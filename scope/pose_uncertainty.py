@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.geometry import Array
+from calibration.geometry import Array, Ints
 from scope.pose_refine import Fit
 
 LOOSE_MM = 0.12  # a direction known worse than this (or its turn at half a diameter) is not determined
@@ -56,11 +56,13 @@ def uncertainty(
 
     Notes
     -----
-    The estimate is that of weighted least squares with correlated errors: x = A e with A = H^-1 J^T W, so that its
-    covariance is A (noise + shared) A^T, where the noise is diagonal and the shared part has rank K.
+    The estimate is that of weighted least squares, x = A e with A = H^-1 J^T W, so that its covariance is A cov(e) A^T.
+    For the points' own errors cov(e) is taken from the residuals, those of one patch (a twentieth of the diameter) being
+    allowed any correlation (the cluster-robust estimate of Liang & Zeger 1986): claimed sigmas that are too small, facets
+    and errors of form then show. The shared part has rank K. A bias that is the same over the whole part does not show.
     """
     j, w, used = fit.jacobian, fit.weight, fit.weight > 0
-    j, w, variance = j[used], w[used], fit.variance[used]
+    j, w = j[used], w[used]
     scale = np.array([1.0, 1.0, 1.0, 1 / radius, 1 / radius, 1 / radius])
     # parameters at the middle of the part and in mm: (shift of the middle, turn times radius)
     to_origin = _shift_reference(centre - fit.pose.translation)
@@ -73,7 +75,10 @@ def uncertainty(
     spread = np.minimum(spread, PRIOR_MM)
     inverse = (vector * spread**2) @ vector.T
     a = inverse @ (js * w[:, None]).T  # (6, N)
-    random = (a * variance) @ a.T + inverse @ extra.T @ extra @ inverse + (vector * np.where(spread >= PRIOR_MM, PRIOR_MM**2, 0.0)) @ vector.T
+    patch = _patches(points[used], radius / 10)
+    pushes = np.stack([np.bincount(patch, weights=row) for row in a * fit.residual[used]])  # (6, patches)
+    few = len(pushes.T) / max(len(pushes.T) - 6.0, 1.0)
+    random = few * pushes @ pushes.T + inverse @ extra.T @ extra @ inverse + (vector * np.where(spread >= PRIOR_MM, PRIOR_MM**2, 0.0)) @ vector.T
     shared = np.zeros((6, 6))
     if camera is not None:
         ray = points[used] - camera[used]
@@ -131,6 +136,13 @@ def _shift_reference(arm: Array) -> Array:
     x, y, z = arm
     m[:3, 3:] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return m
+
+
+def _patches(points: Array, side: float) -> Ints:
+    """Number (N,) of the cube of side ``side`` mm that each point lies in, from 0 without gaps."""
+    cell = np.floor((points - points.min(axis=0)) / side).astype(np.int64) if len(points) else np.zeros((0, 3), np.int64)
+    size = cell.max(axis=0, initial=0) + 1
+    return np.asarray(np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_inverse=True)[1]).ravel()
 
 
 def _loose(covariance: Array) -> tuple[Array, tuple[str, ...]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calibration.geometry import Array, Bools, Plane, fit_plane
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
+from scope.pose_model import fibonacci_sphere
 from scope.region import Region
 
 Indices: TypeAlias = NDArray[np.int64]
@@ -55,7 +56,7 @@ def clusters(cloud: ScanCloud, diameter: float, face: float, *, region: Region |
     if region is not None:
         return [keep] if len(keep) >= LEAST_POINTS else []
     pieces = _joined(cloud.points, _connected(cloud.points, keep, cell), diameter)
-    large = [p for p in pieces if len(p) >= max(LEAST_POINTS, 0.02 * len(keep)) and _extent(cloud.points[p]) > 0.2 * diameter]
+    large = [p for p in pieces if len(p) >= max(LEAST_POINTS, 0.02 * len(keep)) and extent(cloud.points[p]) > 0.2 * diameter]
     if not large:
         raise MeasurementError(
             f"the largest of {len(pieces)} piece(s) has {max((len(p) for p in pieces), default=0)} points; "
@@ -64,9 +65,11 @@ def clusters(cloud: ScanCloud, diameter: float, face: float, *, region: Region |
     return sorted(large, key=len, reverse=True)
 
 
-def _extent(points: Array) -> float:
-    low, high = np.percentile(points, [0.5, 99.5], axis=0)
-    return float(np.linalg.norm(high - low))
+def extent(points: Array) -> float:
+    """Greatest width, mm, over some directions, of points (N, 3) without the outermost 0.5 % on either side."""
+    along = points[:: max(1, len(points) // 4000)] @ fibonacci_sphere(60).T
+    low, high = np.percentile(along, [0.5, 99.5], axis=0)
+    return float((high - low).max())
 
 
 def _without_tables(
@@ -85,7 +88,7 @@ def _without_tables(
         cell = 0.02 * diameter
         area = len(np.unique(np.floor(_in_plane(flat, plane) / cell).astype(np.int64), axis=0)) * cell * cell
         behind = side < -0.02 * diameter
-        if area < 1.2 * face and _extent(flat) < 1.3 * diameter:
+        if area < 1.2 * face and extent(flat) < 1.3 * diameter:
             break
         if camera is not None and behind.sum() > 0.1 * len(keep):
             break
@@ -165,7 +168,7 @@ def _joined(points: Array, pieces: list[Indices], diameter: float) -> list[Indic
         pairs = [(float(np.linalg.norm(middles[i] - middles[j])), i, j) for i in range(len(pieces)) for j in range(i)]
         for _, i, j in sorted(pairs):
             both = np.concatenate([pieces[i], pieces[j]])
-            if _extent(points[both]) < 1.02 * diameter:
+            if extent(points[both]) < 1.02 * diameter:
                 pieces = [p for k, p in enumerate(pieces) if k not in (i, j)] + [np.sort(both)]
                 merged = True
                 break
