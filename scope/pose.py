@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +11,18 @@ from calibration.geometry import Array, Ints, Pose
 from scope import segmentation
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
-from scope.pose_decision import CAP, MISSING, Evidence, margin, same_answer, weigh
+from scope.pose_decision import CAP, MISSING, Evidence, area_of, margin, same_answer, weigh
 from scope.pose_light import Light, light_of
 from scope.pose_model import Model, Surface
 from scope.pose_hold import hold
+from scope.pose_report import what_differs
 from scope.pose_refine import evaluate, refine
 from scope.pose_search import View, normals_of, polish, search, thin
 from scope.pose_uncertainty import Uncertainty, shared_errors, uncertainty
 from scope.region import Region
+
+
+LEAST_SHOWN = 0.02  # of the part's surface; a sight of less is no basis for a decision
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,14 +117,26 @@ def estimate_pose(
     best = results[0]
     if not best.found:
         best = max(results, key=lambda r: len(r.points))
-    others = tuple(r for r in results if r is not best and r.found)
-    return _with_others(best, others)
+    others: list[PoseResult] = []
+    for result in results:
+        if result is not best and result.found and not any(_overlap(r, result) for r in (best, *others)):
+            others.append(result)
+    return replace(best, others=tuple(others))
 
 
-def _with_others(best: PoseResult, others: tuple[PoseResult, ...]) -> PoseResult:
-    from dataclasses import replace
+def _overlap(a: PoseResult, b: PoseResult) -> bool:
+    """Whether two found parts would stand in each other (3 % of the surface of one deeper than 1 % of the diameter)."""
+    if a.cloud_from_model is None or b.cloud_from_model is None:
+        return False
+    motion = a.cloud_from_model.inverse @ b.cloud_from_model
+    depth = a.model.fine.look_up(motion.apply(a.model.samples[::10]))[0]
+    return bool((depth < -0.01 * a.model.diameter).mean() > 0.03)
 
-    return replace(best, others=others)
+
+def _refused(model: Model, rows: Ints, why: str) -> PoseResult:
+    """An answer for a piece that was not even searched."""
+    unknown = np.full(len(rows), np.nan)
+    return PoseResult(None, None, None, 0.0, float("nan"), False, why, (), "", None, rows, unknown, model)
 
 
 _UNITS = ((1000.0, "metres"), (25.4, "inches"), (10.0, "centimetres"), (1 / 25.4, "mm, and the cloud in inches"), (1e-3, "micrometres"))
@@ -155,20 +171,32 @@ def _locate(cloud: ScanCloud, rows: Ints, model: Model, surface: Surface, option
     camera, laser = _eyes(cloud, rows)
     spacing = model.diameter / 100
     chosen = thin(points, spacing)
-    if len(chosen) < 60:
-        return _refused(model, rows, f"the piece covers only {len(chosen) * spacing**2:.0f} mm2; scan more of the part")
+    shown, whole = len(chosen) * spacing**2, area_of(model)
+    if len(chosen) < 60 or shown < LEAST_SHOWN * whole:
+        return _refused(
+            model, rows,
+            f"the scan shows {shown:.0f} mm2 of the part's {whole:.0f} mm2, at least {100 * LEAST_SHOWN:.0f} % needed; scan more of it",
+        )  # fmt: skip
     order = np.random.default_rng(0).permutation(len(chosen))
     chosen = chosen[order]
     at = camera[chosen] if camera is not None else None
     normal = normals_of(points, points[chosen], at, radius=4 * spacing)
     view = View(points[chosen], normal, at, None if laser is None else laser[chosen])
     sigma = _sigma(cloud, rows)
-    others = np.delete(cloud.points, rows, axis=0)
-    light = light_of(cloud, others[thin(others, spacing)] if len(others) else others, voxel=1.5 * spacing)
+    others = np.setdiff1d(np.arange(len(cloud)), rows)
+    if len(others):
+        others = others[segmentation.crowded(cloud.points[others], 2 * spacing)]
+    if len(others):
+        others = others[thin(cloud.points[others], 2 * spacing)]
+    witnesses = None
+    if len(others) and camera is not None:
+        far_camera, far_laser = _eyes(cloud, others)
+        witnesses = View(cloud.points[others], np.zeros((len(others), 3)), far_camera, far_laser)
+    light = light_of(cloud, cloud.points[others], voxel=1.5 * spacing)
     uncovered = None if light is None else lambda pose: light.uncovered(surface, pose, model.samples[::40], model.normals[::40])
     poses, cost = search(model, view, starts=options.starts, uncovered=uncovered)
     poses, cost = _with_likenesses(model, view, poses, cost)
-    weighed = _weigh_all(model, surface, view, sigma[chosen], light, poses, options, spacing)
+    weighed = _weigh_all(model, surface, view, sigma[chosen], light, witnesses, poses, options, spacing)
     return _decide(cloud, rows, model, surface, weighed, view, sigma, camera, light, options)
 
 
@@ -218,6 +246,7 @@ def _weigh_all(
     view: View,
     sigma: Array,
     light: Light | None,
+    witnesses: View | None,
     poses: list[Pose],
     options: PoseOptions,
     spacing: float,
@@ -242,10 +271,11 @@ def _weigh_all(
     camera = None if view.camera is None else view.camera[few]
     reach = (0.01 * d, 0.008 * d, 0.006 * d, 0.005 * d, max(1.0, 0.003 * d), max(1.0, 0.003 * d))
     done: list[Evidence] = []
-    for k in near[: options.candidates]:
+    hopeless = quick[order[0]] > 0.7 * CAP * len(sigma)
+    for k in near[: 2 if hopeless else options.candidates]:
         fit = refine(surface, poses[k], view.points[few], sigma[few], camera, reach=reach, floor=tolerance)
         if not any(same_answer(model, fit.pose, e.pose, turn=0.004, shift=0.002 * d) for e in done):
-            done.append(weigh(model, surface, fit.pose, view, sigma, light, tolerance=tolerance, spacing=spacing))
+            done.append(weigh(model, surface, fit.pose, view, sigma, light, witnesses, tolerance=tolerance, spacing=spacing))
     return sorted(done, key=lambda e: e.cost)
 
 
@@ -274,7 +304,9 @@ def _decide(
     known = uncertainty(
         fit, points, camera, cloud.sigma_cal[rows], parameters, centre=middle, radius=model.diameter / 2
     )
-    if len(known.loose) and not _of_axis(model, fit.pose, known):
+    misfit = _misfit(best, options)
+    score, rival = _runner_up(model, weighed)
+    if not misfit and rival is None and known.loose and not _of_axis(model, fit.pose, known):
         settled = hold(surface, fit.pose, known.loose_motions, points[fit.used], sigma[fit.used], middle, model.diameter / 2)
         if settled is not None:
             rows_held = known.loose_motions / (0.5 * settled[1])[:, None]
@@ -287,8 +319,14 @@ def _decide(
     axis = None
     if model.axis is not None:
         axis = (fit.pose.apply(model.axis.point), fit.pose.rotation @ model.axis.direction)
-    why, ambiguous, tell, score = _verdict(model, weighed, known, view, options)
-    good = not why
+    why, tell = misfit, ""
+    if not why and rival is not None:
+        why = f"two poses explain the scan alike ({score:.0f} nats apart)"
+        tell = what_differs(model, best.pose, rival.pose)
+    if not why and known.loose and not _of_axis(model, fit.pose, known):
+        why = f"the scan does not hold the part: it {' and '.join(known.loose)}"
+        tell = "scan a part of it that stops this motion"
+    good, ambiguous = not why, bool(tell)
     if good:
         why = "no other pose comes near" if np.isinf(score) else f"{score:.0f} nats better than the runner-up"
     return PoseResult(
@@ -308,11 +346,8 @@ def _decide(
     )
 
 
-def _verdict(
-    model: Model, weighed: list[Evidence], known: Uncertainty, view: View, options: PoseOptions
-) -> tuple[str, bool, str, float]:
-    """Reason not to use the best pose ('' for none), whether it is ambiguity, what would settle it, and the margin."""
-    best = weighed[0]
+def _misfit(best: Evidence, options: PoseOptions) -> str:
+    """Why the best pose is no pose of this part; empty where it fits."""
     for share, limit, sign, what in (
         (best.explained, options.least_explained, 1, "of the points lie on the model"),
         (best.covered, options.least_covered, 1, "of the surface that should be seen has points"),
@@ -320,31 +355,24 @@ def _verdict(
     ):
         if sign * share < sign * limit:
             bound = "at least" if sign > 0 else "at most"
-            text = (
+            return (
                 f"the best pose does not fit: {100 * share:.0f} % {what}, {bound} {100 * limit:.0f} % needed; "
                 "is it this part, is more than the part in the region, is the mesh in mm?"
             )
-            return text, False, "", 0.0
-    score, decided, rival = float("inf"), True, None
+    return ""
+
+
+def _runner_up(model: Model, weighed: list[Evidence]) -> tuple[float, Evidence | None]:
+    """Nats to the nearest other pose (inf without one), and the pose itself where they do not decide."""
+    best, score = weighed[0], float("inf")
     for other in weighed[1:]:
         if same_answer(model, best.pose, other.pose, turn=0.01, shift=0.004 * model.diameter):
             continue
         gain, sure = margin(best, other)
-        if gain < score:
-            score = gain
+        score = min(score, gain)
         if not sure:
-            decided, rival = False, other
-            break
-    if not decided and rival is not None:
-        from scope.pose_report import what_differs
-
-        tell = what_differs(model, best.pose, rival.pose, view)
-        return f"two poses explain the scan alike ({score:.0f} nats apart)", True, tell, score
-    loose = () if _of_axis(model, best.pose, known) else known.loose
-    if loose:
-        text = f"the scan does not hold the part: it {' and '.join(loose)}"
-        return text, True, "scan a part of it that stops this motion", score
-    return "", False, "", score
+            return gain, other
+    return score, None
 
 
 def _of_axis(model: Model, pose: Pose, known: Uncertainty) -> bool:

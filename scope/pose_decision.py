@@ -23,7 +23,7 @@ class Evidence:
     """What a scan says of one pose."""
 
     pose: Pose  # cloud_from_model
-    point_cost: Array  # (N,) nats, of the scan's points
+    point_cost: Array  # (N + W,) nats, of the scan's points and of the witnesses
     sample_cost: Array  # (S,) nats, of the model's samples
     explained: float  # share of the points that lie on the model
     blocked: float  # share of the points seen through the model
@@ -43,6 +43,7 @@ def weigh(
     view: View,
     sigma: Array,
     light: Light | None,
+    witnesses: View | None = None,
     *,
     tolerance: float,
     spacing: float,
@@ -61,6 +62,8 @@ def weigh(
         Of its points.
     light : Light, optional
         What camera and laser could see; without it, only the points speak.
+    witnesses : View, optional
+        Points of other things: they need not lie on the model, but must not be seen through it.
     tolerance : float
         By how much the part may differ from its mesh, mm, one standard deviation.
     spacing : float
@@ -72,33 +75,42 @@ def weigh(
     gap = np.linalg.norm(local - closest, axis=1)
     variance = sigma**2 + tolerance**2
     cost = np.minimum(gap**2 / (2 * variance), CAP)
-    blocked = np.zeros(len(local), dtype=np.bool_)
-    for eye in (view.camera, view.laser):
-        if eye is not None:
-            way = inverse.apply(eye) - local
-            way /= np.linalg.norm(way, axis=1, keepdims=True)
-            with np.errstate(invalid="ignore"):
-                known = np.isfinite(way).all(axis=1)
-            start = local + 2.0 * spacing * way
-            hit = np.full(len(local), np.inf)
-            hit[known] = surface.first_hit(start[known], way[known])
-            blocked |= np.isfinite(hit)
+    blocked = _blocked(surface, inverse, view, spacing)
     # a point that lies well and is blocked sits on the far side of a wall
     cost[blocked] = BLOCKED
     explained = float(((gap**2 < 16 * variance) & ~blocked).mean())
+    through = float(blocked.mean())
+    if witnesses is not None:
+        denied = _blocked(surface, inverse, witnesses, spacing)
+        cost = np.concatenate([cost, np.where(denied, BLOCKED, 0.0)])
+        through += float(denied.sum()) / len(local)
     sample_cost, covered, expected = np.zeros(len(model.samples)), float("nan"), 0
     if light is not None:
         foreign = view.points[(gap > 2.0 * spacing) & ~blocked]
         wanted = light.expected(surface, pose, model.samples, model.normals, foreign)
         there = light.covered(pose.apply(model.samples[wanted]))
-        area = _area(model) / len(model.samples)
+        area = area_of(model) / len(model.samples)
         sample_cost[wanted] = np.where(there, 0.0, MISSING * min(area / spacing**2, 1.0))
         expected = int(wanted.sum())
         covered = float(there.mean()) if expected else 0.0
-    return Evidence(pose, cost, sample_cost, explained, float(blocked.mean()), covered, expected)
+    return Evidence(pose, cost, sample_cost, explained, through, covered, expected)
 
 
-def _area(model: Model) -> float:
+def _blocked(surface: Surface, inverse: Pose, view: View, spacing: float) -> Bools:
+    """Points (N,) between which and the camera or the laser the model stands; the first two spacings are let pass."""
+    local = inverse.apply(view.points)
+    blocked = np.zeros(len(local), dtype=np.bool_)
+    for eye in (view.camera, view.laser):
+        if eye is None:
+            continue
+        way = inverse.apply(eye) - local
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        blocked |= np.isfinite(surface.first_hit(local + 2.0 * spacing * way, way))
+    return blocked
+
+
+def area_of(model: Model) -> float:
+    """Surface of a model, mm2."""
     corners = model.vertices[model.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return float(np.linalg.norm(cross, axis=1).sum() / 2)
@@ -137,7 +149,3 @@ def _about(model: Model, motion: Pose, turn: float, shift: float) -> bool:
     tilt = float(np.arccos(np.clip((motion.rotation @ u) @ u, -1, 1)))
     return bool(tilt < turn and np.linalg.norm(motion.apply(p) - p) < shift)
 
-
-def unlike(best: Evidence, other: Evidence, points: Array) -> Bools:
-    """Points (N,) of the scan on which two poses differ."""
-    return np.asarray(np.abs(best.point_cost - other.point_cost) > 2.0) & np.isfinite(points).all(axis=1)

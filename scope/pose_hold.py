@@ -8,7 +8,7 @@ from calibration.geometry import Array, Pose
 from scope.pose_model import Surface
 
 REACH = 0.9  # mm each way
-STEP = 0.06  # mm
+STEP = 0.09  # mm
 RISE = 30.0  # nats above the least at which a motion is ruled out
 HELD = 0.3  # mm, half the width that may be left
 
@@ -43,7 +43,7 @@ def hold(
     """
     if len(motions) == 0 or len(motions) > 2:
         return None
-    some = np.linspace(0, len(points) - 1, min(len(points), 20_000)).astype(np.int64)
+    some = np.linspace(0, len(points) - 1, min(len(points), 10_000)).astype(np.int64)
     near, spread = points[some], sigma[some]
     offsets = np.arange(-REACH, REACH + STEP / 2, STEP)
 

@@ -6,10 +6,9 @@ import numpy as np
 
 from calibration.geometry import Pose
 from scope.pose_model import Model
-from scope.pose_search import View
 
 
-def what_differs(model: Model, best: Pose, rival: Pose, view: View) -> str:
+def what_differs(model: Model, best: Pose, rival: Pose) -> str:
     """Where on the model two poses differ most, and from where that is seen, in words.
 
     The model's samples are moved by the motion between the two poses; those far from the surface then are the features

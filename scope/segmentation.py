@@ -52,7 +52,7 @@ def clusters(cloud: ScanCloud, diameter: float, face: float, *, region: Region |
             "nothing here can be the part: scan it, or give its region"
         )
     cell = 0.02 * diameter
-    keep = keep[_crowded(cloud.points[keep], cell)]
+    keep = keep[crowded(cloud.points[keep], cell)]
     if region is not None:
         return [keep] if len(keep) >= LEAST_POINTS else []
     pieces = _joined(cloud.points, _connected(cloud.points, keep, cell), diameter)
@@ -125,8 +125,11 @@ def _largest_plane(points: Array, tolerance: float, rng: np.random.Generator, *,
     return plane
 
 
-def _crowded(points: Array, cell: float) -> Bools:
-    """Points with neighbours: strays have fewer than a tenth of what is usual in their cube and the 26 about it."""
+def crowded(points: Array, cell: float) -> Bools:
+    """Points with neighbours: strays have fewer than five, or than 2 % of what is usual, in their cube and the 26 about it.
+
+    Surface seen at a slant is sparse and must stay: it may hold the one feature that decides.
+    """
     from scipy.ndimage import uniform_filter
 
     index, shape = _cubes(points, cell)
@@ -134,7 +137,7 @@ def _crowded(points: Array, cell: float) -> Bools:
     np.add.at(count, tuple(index.T), 1.0)
     around = uniform_filter(count, size=3, mode="constant") * 27.0
     mine = around[tuple(index.T)]
-    return np.asarray(mine >= 0.1 * np.median(mine))
+    return np.asarray(mine > max(4.5, 0.02 * float(np.median(mine))))
 
 
 def _connected(points: Array, keep: Indices, cell: float) -> list[Indices]:
