@@ -107,7 +107,8 @@ def ours(part: parts.Part, model: Model, cloud: ScanCloud, truth: Pose) -> dict[
     record["undecidable"] = False
     if not result.found:
         rivals = [c.cloud_from_model for c in result.candidates if not right(*errors(part, c.cloud_from_model, truth))]
-        record["undecidable"] = any(undecidable(part, truth, r) for r in rivals[:8])
+        rivals += [truth @ likeness for likeness in model.likenesses]
+        record["undecidable"] = any(undecidable(part, truth, r) for r in rivals)
     return record
 
 

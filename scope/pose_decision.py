@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.geometry import Array, Bools, Pose
+from scope.pose_grid import passes
 from scope.pose_light import Light
 from scope.pose_model import Model, Surface, angle_between
 from scope.pose_search import View
@@ -14,8 +15,8 @@ from scope.pose_search import View
 CAP = 8.0  # nats: a point that the model does not explain
 BLOCKED = 12.0  # nats: a point that camera or laser could not have reached through the model
 MISSING = 3.0  # nats: surface that both should have seen and no point lies on; less, since metal also loses light
-MARGIN = 25.0  # nats between a pose and its runner-up
-SIGNIFICANT = 3.0  # and this many times the root sum of squares of the single differences
+MARGIN = 30.0  # nats between a pose and its runner-up
+SPEAKS = 2.0  # nats: what a single point or sample must say to be heard in this
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +82,7 @@ def weigh(
     explained = float(((gap**2 < 16 * variance) & ~blocked).mean())
     through = float(blocked.mean())
     if witnesses is not None:
-        denied = _blocked(surface, inverse, witnesses, spacing)
+        denied = _seen_through(model, inverse, witnesses, 0.5 * spacing)
         cost = np.concatenate([cost, np.where(denied, BLOCKED, 0.0)])
         through += float(denied.sum()) / len(local)
     sample_cost, covered, expected = np.zeros(len(model.samples)), float("nan"), 0
@@ -109,6 +110,16 @@ def _blocked(surface: Surface, inverse: Pose, view: View, spacing: float) -> Boo
     return blocked
 
 
+def _seen_through(model: Model, inverse: Pose, view: View, depth: float) -> Bools:
+    """Points (N,) whose way to the camera or the laser leads deeper than ``depth`` mm into the model: no grazing of edges."""
+    local = inverse.apply(view.points)
+    through = np.zeros(len(local), dtype=np.bool_)
+    for eye in (view.camera, view.laser):
+        if eye is not None:
+            through |= ~passes(model.fine, local, inverse.apply(eye), depth, 4.0 * depth)
+    return through
+
+
 def area_of(model: Model) -> float:
     """Surface of a model, mm2."""
     corners = model.vertices[model.faces]
@@ -117,12 +128,15 @@ def area_of(model: Model) -> float:
 
 
 def margin(best: Evidence, other: Evidence) -> tuple[float, bool]:
-    """Nats by which ``best`` is better than ``other``, and whether that decides between them."""
-    points = other.point_cost - best.point_cost
-    samples = other.sample_cost - best.sample_cost
-    gain = float(points.sum() + samples.sum())
-    noise = float(np.sqrt((points**2).sum() + (samples**2).sum()))
-    return gain, gain > MARGIN and gain > SIGNIFICANT * noise
+    """Nats by which ``best`` is better than ``other``, and whether that decides between them.
+
+    It does where the gain is large and what speaks for the other is less than half of what speaks against it. Single
+    differences below 2 nats are noise and speak for neither.
+    """
+    gain = np.concatenate([other.point_cost - best.point_cost, other.sample_cost - best.sample_cost])
+    total = float(gain.sum())
+    pro, contra = float(gain[gain > SPEAKS].sum()), float(-gain[gain < -SPEAKS].sum())
+    return total, total > MARGIN and pro - contra > MARGIN and contra < 0.5 * pro
 
 
 def same_answer(model: Model, a: Pose, b: Pose, *, turn: float, shift: float) -> bool:

@@ -69,6 +69,16 @@ def align(
     return Aligned(r, t, cost)
 
 
+def passes(grid: DistanceGrid, start: Array, end: Array, depth: float, clear: float) -> NDArray[np.bool_]:
+    """Whether each segment (N, 3) -> (N, 3) stays out of the model: never deeper inside than ``depth`` mm.
+
+    The first ``clear`` mm are not looked at, so that a point on the surface may start a segment.
+    """
+    free = np.empty(len(start), dtype=np.bool_)
+    _passes(grid.values, grid.origin, 1.0 / grid.spacing, start, end, depth, clear, free)
+    return free
+
+
 def hidden(full: NDArray[np.bool_], low: Array, voxel: float, start: Array, end: Array) -> NDArray[np.bool_]:
     """Whether each segment (N, 3) -> (N, 3) passes a full voxel, the first three voxels of the way left out.
 
@@ -115,6 +125,35 @@ def _look_up(values, origin, scale, points, distance, gradient):  # type: ignore
         d, gx, gy, gz = _trilinear(values, origin, scale, points[i, 0], points[i, 1], points[i, 2])
         distance[i] = d
         gradient[i, 0], gradient[i, 1], gradient[i, 2] = gx, gy, gz
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _passes(values, origin, scale, start, end, depth, clear, free):  # type: ignore[no-untyped-def]
+    least = 0.5 / scale
+    for i in range(len(start)):
+        x, y, z = start[i, 0], start[i, 1], start[i, 2]
+        dx, dy, dz = end[i, 0] - x, end[i, 1] - y, end[i, 2] - z
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = dx / length, dy / length, dz / length
+        s = clear
+        free[i] = True
+        while s < length:
+            px, py, pz = x + s * dx, y + s * dy, z + s * dz
+            fx, fy, fz = (px - origin[0]) * scale, (py - origin[1]) * scale, (pz - origin[2]) * scale
+            if (
+                (fx < 0 and dx <= 0)
+                or (fy < 0 and dy <= 0)
+                or (fz < 0 and dz <= 0)
+                or (fx > values.shape[0] - 1 and dx >= 0)
+                or (fy > values.shape[1] - 1 and dy >= 0)
+                or (fz > values.shape[2] - 1 and dz >= 0)
+            ):
+                break  # leaves the box of the model for good
+            d, _, _, _ = _trilinear(values, origin, scale, px, py, pz)
+            if d < -depth:
+                free[i] = False
+                break
+            s += max(abs(d + depth), least)
 
 
 @njit(cache=True, nogil=True)
