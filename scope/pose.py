@@ -168,7 +168,7 @@ def _locate(cloud: ScanCloud, rows: Ints, model: Model, surface: Surface, option
             model, rows,
             f"the piece of the scan is {size:.0f} mm across and the part {model.diameter:.0f} mm; give the region of the part",
         )  # fmt: skip
-    camera, laser = _eyes(cloud, rows)
+    camera, laser = eyes(cloud, rows)
     spacing = model.diameter / 100
     chosen = thin(points, spacing)
     shown, whole = len(chosen) * spacing**2, area_of(model)
@@ -190,7 +190,7 @@ def _locate(cloud: ScanCloud, rows: Ints, model: Model, surface: Surface, option
         others = others[thin(cloud.points[others], 2 * spacing)]
     witnesses = None
     if len(others) and camera is not None:
-        far_camera, far_laser = _eyes(cloud, others)
+        far_camera, far_laser = eyes(cloud, others)
         witnesses = View(cloud.points[others], np.zeros((len(others), 3)), far_camera, far_laser)
     light = light_of(cloud, cloud.points[others], voxel=1.5 * spacing)
     uncovered = None if light is None else lambda pose: light.uncovered(surface, pose, model.samples[::40], model.normals[::40])
@@ -200,7 +200,7 @@ def _locate(cloud: ScanCloud, rows: Ints, model: Model, surface: Surface, option
     return _decide(cloud, rows, model, surface, weighed, view, sigma, camera, light, options)
 
 
-def _eyes(cloud: ScanCloud, rows: Ints) -> tuple[Array | None, Array | None]:
+def eyes(cloud: ScanCloud, rows: Ints) -> tuple[Array | None, Array | None]:
     """Camera and laser (N, 3) of each point; None where the cloud does not tell."""
     sensors = cloud.sensors
     if sensors is None or len(sensors) == 0:

@@ -77,7 +77,7 @@ def _without_tables(
 ) -> tuple[Indices, list[Plane]]:
     found: list[Plane] = []
     for _ in range(3):
-        plane = _largest_plane(points[keep], 0.008 * diameter, np.random.default_rng(len(found)))
+        plane = largest_plane(points[keep], 0.008 * diameter, np.random.default_rng(len(found)))
         if plane is None:
             break
         side = plane.distance(points[keep])
@@ -104,7 +104,7 @@ def _in_plane(points: Array, plane: Plane) -> Array:
     return np.asarray(points @ axes.T)
 
 
-def _largest_plane(points: Array, tolerance: float, rng: np.random.Generator, *, trials: int = 300) -> Plane | None:
+def largest_plane(points: Array, tolerance: float, rng: np.random.Generator, *, trials: int = 300) -> Plane | None:
     """The plane with most points within ``tolerance`` of it (RANSAC of Fischler & Bolles 1981, then total least squares)."""
     some = points[rng.permutation(len(points))[:3000]]
     a, b, c = (some[rng.integers(len(some), size=trials)] for _ in range(3))
