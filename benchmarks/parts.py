@@ -185,7 +185,9 @@ class Scanner:
 
     noise: float = 0.1  # mm along the camera's ray, one standard deviation
     points: int = 50_000  # about; dense scans are thinned to it at random
-    calibration: Array = field(default_factory=lambda: np.zeros((3, 3)))  # covariance of sheet offset (mm) and tilts (rad)
+    calibration: Array = field(
+        default_factory=lambda: np.zeros((3, 3))
+    )  # covariance of sheet offset (mm) and tilts (rad)
 
 
 def sweep(solids: list[tuple[Part, Pose]], spacing: float, reach: float) -> tuple[Array, Ints, Ints]:

@@ -37,7 +37,9 @@ SEED = 20_000
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("work", nargs="?", default="all", choices=["all", "run", "clutter", "summary", "covariance", "wrong"])
+    parser.add_argument(
+        "work", nargs="?", default="all", choices=["all", "run", "clutter", "summary", "covariance", "wrong"]
+    )
     parser.add_argument("stores", nargs="*", type=Path)
     parser.add_argument("--part", default="bracket", choices=list(PARTS))
     parser.add_argument("--first", type=int, default=0)
@@ -77,7 +79,13 @@ def runs(name: str, numbers: range, peer: int, cluttered: bool) -> Any:
     estimate_pose(warm, model)  # compiled code is loaded outside the clock
     for number in numbers:
         cloud, truth = make_scan(part, SEED + number, cluttered)
-        record = {"part": name, "number": number, "clutter": cluttered, "prepare": prepared, **ours(part, model, cloud, truth)}
+        record = {
+            "part": name,
+            "number": number,
+            "clutter": cluttered,
+            "prepare": prepared,
+            **ours(part, model, cloud, truth),
+        }
         if rival is not None and number < peer:
             began = time.process_time()
             pose = rival.locate(cloud)
@@ -157,12 +165,16 @@ class Peer:
         return self.o3d.pipelines.registration.compute_fpfh_feature(cloud, search)
 
     def locate(self, cloud: ScanCloud) -> Pose:
+        """Pose cloud_from_model, right or wrong."""
         reg = self.o3d.pipelines.registration
         scan = self.o3d.geometry.PointCloud(self.o3d.utility.Vector3dVector(cloud.points))
         few = scan.voxel_down_sample(self.voxel)
         few.estimate_normals(self.o3d.geometry.KDTreeSearchParamHybrid(radius=2 * self.voxel, max_nn=30))
         few.orient_normals_towards_camera_location(np.zeros(3))
-        checks = [reg.CorrespondenceCheckerBasedOnEdgeLength(0.9), reg.CorrespondenceCheckerBasedOnDistance(1.5 * self.voxel)]
+        checks = [
+            reg.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+            reg.CorrespondenceCheckerBasedOnDistance(1.5 * self.voxel),
+        ]
         found = reg.registration_ransac_based_on_feature_matching(
             few, self.model, self._features(few), self.features, True, 1.5 * self.voxel,
             reg.TransformationEstimationPointToPoint(False), 3, checks, reg.RANSACConvergenceCriteria(100_000, 0.999),
@@ -179,7 +191,9 @@ class Peer:
 
 def summary(records: list[dict[str, Any]]) -> None:
     """One row a part and kind of scene."""
-    print("| scans | right | wrong unflagged (95 % bound) | flagged, undecidable / other | median error | peer right | peer error | time / peer |")
+    print(
+        "| scans | right | wrong unflagged (95 % bound) | flagged, undecidable / other | median error | peer right | peer error | time / peer |"
+    )
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for cluttered in (False, True):
         for name in PARTS:
@@ -196,7 +210,11 @@ def row(name: str, cluttered: bool, mine: list[dict[str, Any]]) -> str:
     flagged = [r for r in mine if not r["found"]]
     hopeless = sum(r["undecidable"] for r in flagged)
     upper = 1.0 if wrong == n else float(beta.ppf(0.95, wrong + 1, n - wrong))
-    error = f"{np.median([r['turn'] for r in good]):.4f} deg, {np.median([r['shift'] for r in good]):.4f} mm" if good else "-"
+    error = (
+        f"{np.median([r['turn'] for r in good]):.4f} deg, {np.median([r['shift'] for r in good]):.4f} mm"
+        if good
+        else "-"
+    )
     met = [r for r in mine if "peer_turn" in r]
     theirs = [r for r in met if right(r["peer_turn"], r["peer_shift"])]
     peer = f"{len(theirs)}/{len(met)}" if met else "-"
@@ -227,7 +245,13 @@ def covariance(name: str, repeats: int) -> None:
             continue
         at = about(middle - result.cloud_from_model.translation)
         step = result.cloud_from_model @ pose.inverse
-        turn = 0.5 * np.array([step.rotation[2, 1] - step.rotation[1, 2], step.rotation[0, 2] - step.rotation[2, 0], step.rotation[1, 0] - step.rotation[0, 1]])
+        turn = 0.5 * np.array(
+            [
+                step.rotation[2, 1] - step.rotation[1, 2],
+                step.rotation[0, 2] - step.rotation[2, 0],
+                step.rotation[1, 0] - step.rotation[0, 1],
+            ]
+        )
         moves.append(np.concatenate([step.apply(middle) - middle, turn]) * scale)
         claims.append((at @ result.covariance @ at.T) * np.outer(scale, scale))
     claimed = np.mean(claims, axis=0)
@@ -235,7 +259,9 @@ def covariance(name: str, repeats: int) -> None:
     scatter = np.sqrt(np.mean((np.array(moves) @ vector) ** 2, axis=0))
     ratios = ", ".join(f"{s / np.sqrt(v):.2f}" for s, v in zip(scatter, value, strict=True))
     sizes = ", ".join(f"{1000 * np.sqrt(v):.1f}" for v in value)
-    print(f"| covariance, {name} ({len(moves)} repeats) | scatter / claimed by direction: {ratios} | claimed, um: {sizes} |")
+    print(
+        f"| covariance, {name} ({len(moves)} repeats) | scatter / claimed by direction: {ratios} | claimed, um: {sizes} |"
+    )
 
 
 def about(arm: Array) -> Array:
@@ -254,11 +280,11 @@ def wrong_models() -> None:
         taken, tried = 0, 0
         for k in range(10):
             cloud, _ = make_scan(part, SEED + k, False)
-            for other in models:
+            for other, model in models.items():
                 if other != name:
                     tried += 1
                     try:
-                        taken += estimate_pose(cloud, models[other]).found
+                        taken += estimate_pose(cloud, model).found
                     except MeasurementError:
                         continue
         print(f"| wrong model, scans of the {name} | {tried - taken} of {tried} refused |")

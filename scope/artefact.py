@@ -13,6 +13,7 @@ from calibration.geometry import Array, Bools
 from scope.artefact_fit import CUT, LEAST, Shape, find_cylinder, find_sphere, fit_levels, fit_shape
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
+from scope.pose_light import eyes
 from scope.pose_search import normals_of, thin
 from scope.region import Region
 from scope.segmentation import largest_plane
@@ -78,7 +79,9 @@ class ArtefactCheck:
     error_mm: float  # the error of size that is largest in magnitude; plane and mesh: largest mean deviation of a patch
     form_mm: float  # width that holds 95 % of the deviations from the fitted artefact (ISO 10360-8, Form.Sph.D95%)
     rms_mm: float  # of the deviations
-    linearity_percent: float  # largest residual about the best line, % of the covered z span; NaN where nothing spans it
+    linearity_percent: (
+        float  # largest residual about the best line, % of the covered z span; NaN where nothing spans it
+    )
     points: int  # that took part
     span_mm: float  # z span of the cloud, to which linearity refers
     within: bool | None  # |error_mm| <= tolerance; None without a tolerance
@@ -125,7 +128,9 @@ def check_artefact(
     part = cloud if region is None else cloud.select(region.contains(cloud.points))
     if len(part) < LEAST:
         where = "the cloud" if region is None else "the region"
-        raise MeasurementError(f"{where} has {len(part)} points, {LEAST} needed; scan the artefact or choose another region")
+        raise MeasurementError(
+            f"{where} has {len(part)} points, {LEAST} needed; scan the artefact or choose another region"
+        )
     span = float(np.ptp(cloud.points[:, 2]))
     if known.kind == "steps":
         return _steps(part, known, tolerance, span)
@@ -140,7 +145,11 @@ def check_artefact(
 
 
 def check_repeats(
-    clouds: Sequence[ScanCloud], artefact: Artefact | str, *, tolerance: float | None = None, region: Region | None = None
+    clouds: Sequence[ScanCloud],
+    artefact: Artefact | str,
+    *,
+    tolerance: float | None = None,
+    region: Region | None = None,
 ) -> Repeatability:
     """Compare several scans of one artefact and say how well they repeat; two scans or more, else ``ValueError``."""
     if len(clouds) < 2:
@@ -152,8 +161,6 @@ def check_repeats(
 
 def _rays(cloud: ScanCloud) -> tuple[Array | None, Array | None]:
     """Camera (N, 3) mm and unit sighting ray (N, 3) of each point; None where the cloud does not tell."""
-    from scope.pose import eyes
-
     camera, _ = eyes(cloud, np.arange(len(cloud)))
     if camera is None:
         return None, None

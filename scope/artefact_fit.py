@@ -79,7 +79,9 @@ def fit_shape(
             break
         limit = narrower
     residual, normal = _residual(kind, points, point, direction, radius)
-    error, shared = _radius_errors(jacobian, residual[used], normal[used], None if ray is None else ray[used], sigma_cal[used])
+    error, shared = _radius_errors(
+        jacobian, residual[used], normal[used], None if ray is None else ray[used], sigma_cal[used]
+    )
     size = kind != "plane"
     return Shape(kind, point, direction, radius, error if size else 0.0, shared if size else 0.0, used, residual)
 
@@ -109,7 +111,9 @@ def _jacobian(kind: str, points: Array, normal: Array, point: Array, direction: 
     return j  # motion of the point along an axis or in a plane changes nothing: minimum-norm least squares leaves it
 
 
-def _radius_errors(jacobian: Array, residual: Array, normal: Array, ray: Array | None, sigma_cal: Array) -> tuple[float, float]:
+def _radius_errors(
+    jacobian: Array, residual: Array, normal: Array, ray: Array | None, sigma_cal: Array
+) -> tuple[float, float]:
     """Standard error of the radius from the scatter, and its standard deviation through the calibration."""
     solve = np.linalg.pinv(jacobian, rcond=1e-10)  # (7, N)
     variance = float((residual**2).sum()) / max(len(residual) - 7, 1)
@@ -217,7 +221,7 @@ def fit_levels(
     for _ in range(trials):
         k = int(rng.integers(len(seeds)))
         level = np.flatnonzero(np.abs((seeds - seeds[k]) @ normals[k]) < window)
-        a, b, c = seeds[k], *seeds[rng.choice(level, 2)]
+        a, (b, c) = seeds[k], seeds[rng.choice(level, 2)]
         cross = np.cross(b - a, c - a)
         length = float(np.linalg.norm(cross))
         if length < 1e-6:

@@ -72,7 +72,7 @@ def weigh(
     """
     inverse = pose.inverse
     local = inverse.apply(view.points)
-    closest, normal = surface.nearest(local)
+    closest, _ = surface.nearest(local)
     gap = np.linalg.norm(local - closest, axis=1)
     variance = sigma**2 + tolerance**2
     cost = np.minimum(gap**2 / (2 * variance), CAP)
@@ -162,4 +162,3 @@ def _about(model: Model, motion: Pose, turn: float, shift: float) -> bool:
     u, p = model.axis.direction, model.axis.point
     tilt = float(np.arccos(np.clip((motion.rotation @ u) @ u, -1, 1)))
     return bool(tilt < turn and np.linalg.norm(motion.apply(p) - p) < shift)
-

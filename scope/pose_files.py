@@ -84,7 +84,9 @@ def read_mesh(path: Path) -> tuple[Array, Ints]:
     if faces is None or len(faces) == 0:
         raise FileError(f"{path}: holds no triangles; a point cloud is no model: give an STL, OBJ or PLY mesh")
     if not np.isfinite(mesh.vertices).all():
-        raise FileError(f"{path}: {int((~np.isfinite(mesh.vertices)).any(axis=1).sum())} vertices are not finite; export it again")
+        raise FileError(
+            f"{path}: {int((~np.isfinite(mesh.vertices)).any(axis=1).sum())} vertices are not finite; export it again"
+        )
     _require_few_faces(path, len(faces))
     return _closed(path, mesh)
 
@@ -172,7 +174,9 @@ def _read_prepared(path: Path) -> Model | None:
 
     try:
         with np.load(path, allow_pickle=False) as held:
-            grids = [DistanceGrid(held[f"{n}_frame"][:3], float(held[f"{n}_frame"][3]), held[f"{n}_values"]) for n in _GRIDS]
+            grids = [
+                DistanceGrid(held[f"{n}_frame"][:3], float(held[f"{n}_frame"][3]), held[f"{n}_values"]) for n in _GRIDS
+            ]
             vertices = held["vertices"]
             axis = held["axis"]
             return Model(

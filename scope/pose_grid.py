@@ -270,9 +270,21 @@ def _align(values, origin, scale, points, normals, rotation, translation, reach,
             angle *= shrink
             a1 = 1.0 if angle < 1e-8 else np.sin(angle) / angle
             a2 = 0.5 if angle < 1e-4 else (1.0 - np.cos(angle)) / (angle * angle)
-            turn[0, 0], turn[0, 1], turn[0, 2] = 1 - a2 * (w1 * w1 + w2 * w2), a2 * w0 * w1 - a1 * w2, a2 * w0 * w2 + a1 * w1
-            turn[1, 0], turn[1, 1], turn[1, 2] = a2 * w0 * w1 + a1 * w2, 1 - a2 * (w0 * w0 + w2 * w2), a2 * w1 * w2 - a1 * w0
-            turn[2, 0], turn[2, 1], turn[2, 2] = a2 * w0 * w2 - a1 * w1, a2 * w1 * w2 + a1 * w0, 1 - a2 * (w0 * w0 + w1 * w1)
+            turn[0, 0], turn[0, 1], turn[0, 2] = (
+                1 - a2 * (w1 * w1 + w2 * w2),
+                a2 * w0 * w1 - a1 * w2,
+                a2 * w0 * w2 + a1 * w1,
+            )
+            turn[1, 0], turn[1, 1], turn[1, 2] = (
+                a2 * w0 * w1 + a1 * w2,
+                1 - a2 * (w0 * w0 + w2 * w2),
+                a2 * w1 * w2 - a1 * w0,
+            )
+            turn[2, 0], turn[2, 1], turn[2, 2] = (
+                a2 * w0 * w2 - a1 * w1,
+                a2 * w1 * w2 + a1 * w0,
+                1 - a2 * (w0 * w0 + w1 * w1),
+            )
             old[:] = r
             u0, u1, u2 = t[0] - middle[0], t[1] - middle[1], t[2] - middle[2]
             for a in range(3):

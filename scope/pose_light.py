@@ -30,7 +30,7 @@ class Light:
     voxel: float  # mm
     row_of_point: Ints  # (N,) row of camera and laser for each point of the cloud
 
-    def eyes(self, points: Array) -> tuple[Array, Array, Bools]:
+    def moments(self, points: Array) -> tuple[Array, Array, Bools]:
         """Camera (N, 3), laser (N, 3) at the moment each point was lit, and whether it was lit and in view at all."""
         if self.sheet is None:
             near = self.tree.query(points)[1]
@@ -60,7 +60,7 @@ class Light:
         part: ``foreign`` points (K, 3) of this piece and all others.
         """
         at, out = pose.apply(samples), normals @ pose.rotation.T
-        camera, laser, wanted = self.eyes(at)
+        camera, laser, wanted = self.moments(at)
         inverse = pose.inverse
         blocks = np.concatenate([self.obstacles, foreign])
         for eye in (camera, laser):
@@ -101,6 +101,22 @@ class Light:
         return hidden(full, low, self.voxel, start, end)
 
 
+def eyes(cloud: ScanCloud, rows: Ints) -> tuple[Array | None, Array | None]:
+    """Camera and laser (N, 3) of each point; None where the cloud does not tell."""
+    sensors = cloud.sensors
+    if sensors is None or len(sensors) == 0:
+        return None, None
+    key = sensors.frame.astype(np.int64) * 256 + sensors.laser
+    order = np.argsort(key)
+    wanted = cloud.frame[rows].astype(np.int64) * 256 + cloud.laser[rows]
+    place = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
+    found = order[place]
+    if not (key[found] == wanted).all() or not np.isfinite(sensors.centre).all():
+        return None, None
+    laser = sensors.laser_origin[found]
+    return sensors.centre[found], laser if np.isfinite(laser).all() else None
+
+
 def light_of(cloud: ScanCloud, others: Array, *, voxel: float, rows: int = 48) -> Light | None:
     """The geometry of a scan; None where the cloud does not say where its camera was.
 
@@ -133,9 +149,7 @@ def light_of(cloud: ScanCloud, others: Array, *, voxel: float, rows: int = 48) -
     reach = max(4.0 * float(np.median(near)), 0.8 * voxel)
     sheet, window = _sheet_and_window(cloud, first)
     row_of_frame = np.zeros(int(max(sensors.frame.max(), cloud.frame.max())) + 1, dtype=np.int64)
-    row_of_frame[:] = np.argmin(
-        np.abs(sensors.frame[chosen][None, :] - np.arange(len(row_of_frame))[:, None]), axis=1
-    )
+    row_of_frame[:] = np.argmin(np.abs(sensors.frame[chosen][None, :] - np.arange(len(row_of_frame))[:, None]), axis=1)
     return Light(
         sensors.centre[chosen],
         sensors.laser_origin[chosen],

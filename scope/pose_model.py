@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calibration.geometry import Array, Ints, Pose
 from scope.errors import MeasurementError
 from scope.optional import import_open3d
-from scope.pose_grid import DistanceGrid, Field, align
+from scope.pose_grid import DistanceGrid, align
 
 NODES = 150  # nodes of the fine grid along the longest side
 COARSE = 4  # the coarse grid has one node for so many of the fine one
@@ -120,7 +120,20 @@ def prepare_model(vertices: Array, faces: Ints, *, name: str = "model", sha256: 
     likenesses = _likenesses(coarse, fine, samples, normals, diameter)
     exact = tuple(p for p in likenesses if _misfit(surface, samples, p) < max(2e-4 * diameter, 2e-3))
     return Model(
-        name, sha256, vertices, faces, diameter, fine, coarse, samples, normals, views, centroids, likenesses, exact, axis
+        name,
+        sha256,
+        vertices,
+        faces,
+        diameter,
+        fine,
+        coarse,
+        samples,
+        normals,
+        views,
+        centroids,
+        likenesses,
+        exact,
+        axis,
     )
 
 
@@ -135,7 +148,7 @@ def sample_surface(vertices: Array, faces: Ints, count: int, rng: np.random.Gene
     face = np.minimum(np.searchsorted(np.cumsum(area), at), len(faces) - 1)
     u, v = np.sqrt(rng.random(count)), rng.random(count)
     points = (1 - u)[:, None] * a[face] + (u * (1 - v))[:, None] * b[face] + (u * v)[:, None] * c[face]
-    return points, cross[face] / area[face, None]
+    return points, np.asarray(cross[face] / area[face, None])
 
 
 def fibonacci_sphere(count: int) -> Array:
@@ -164,7 +177,7 @@ def rotations(count: int) -> Array:
 def angle_between(a: Array, b: Array) -> Array:
     """Angles, rad, between rotations (..., 3, 3)."""
     trace = np.einsum("...ij,...ij->...", a, b)
-    return np.arccos(np.clip((trace - 1) / 2, -1, 1))
+    return np.asarray(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
 
 
 def distinct(rotation: Array, translation: Array, cost: Array, centre: Array, turn: float, shift: float) -> Ints:
@@ -211,8 +224,11 @@ def _grids(surface: Surface, low: Array, high: Array, diameter: float) -> tuple[
     close = np.abs(fine) < 1.2 * COARSE * spacing
     index = np.stack(np.nonzero(close), axis=1)
     fine[close] = surface.signed_distance(origin + spacing * index)
-    as_field = lambda values: np.ascontiguousarray(values, dtype=np.float32)  # noqa: E731
-    return DistanceGrid(origin, spacing, as_field(fine)), DistanceGrid(origin, spacing * COARSE, as_field(coarse))
+    return _grid(origin, spacing, fine), _grid(origin, spacing * COARSE, coarse)
+
+
+def _grid(origin: Array, spacing: float, values: Array) -> DistanceGrid:
+    return DistanceGrid(origin, spacing, np.ascontiguousarray(values, dtype=np.float32))
 
 
 def _nodes(origin: Array, spacing: float, shape: Ints) -> Array:
@@ -288,4 +304,3 @@ def _axis_of_revolution(fine: DistanceGrid, samples: Array, diameter: float) -> 
         if worst < max(0.004 * diameter, 0.7 * fine.spacing):
             return Axis(middle, direction)
     return None
-

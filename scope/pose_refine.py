@@ -9,7 +9,6 @@ import numpy as np
 from calibration.geometry import Array, Bools, Pose
 from scope.pose_model import Surface
 
-
 TAILS = 6.0
 
 

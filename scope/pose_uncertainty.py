@@ -78,7 +78,11 @@ def uncertainty(
     patch = _patches(points[used], radius / 10)
     pushes = np.stack([np.bincount(patch, weights=row) for row in a * fit.residual[used]])  # (6, patches)
     few = len(pushes.T) / max(len(pushes.T) - 6.0, 1.0)
-    random = few * pushes @ pushes.T + inverse @ extra.T @ extra @ inverse + (vector * np.where(spread >= PRIOR_MM, PRIOR_MM**2, 0.0)) @ vector.T
+    random = (
+        few * pushes @ pushes.T
+        + inverse @ extra.T @ extra @ inverse
+        + (vector * np.where(spread >= PRIOR_MM, PRIOR_MM**2, 0.0)) @ vector.T
+    )
     shared = np.zeros((6, 6))
     if camera is not None:
         ray = points[used] - camera[used]
@@ -91,8 +95,8 @@ def uncertainty(
     total = random + shared
     loose_motions, words = _loose(random)
     unscale = to_origin * scale  # back to the model's origin, rad
-    back = lambda c: unscale @ c @ unscale.T  # noqa: E731
-    return Uncertainty(back(total), back(random), back(shared), words, loose_motions)
+    total, random, shared = (unscale @ c @ unscale.T for c in (total, random, shared))
+    return Uncertainty(total, random, shared, words, loose_motions)
 
 
 def shared_errors(points: Array, camera: Array, normal: Array, sigma_cal: Array) -> Array | None:
@@ -140,9 +144,13 @@ def _shift_reference(arm: Array) -> Array:
 
 def _patches(points: Array, side: float) -> Ints:
     """Number (N,) of the cube of side ``side`` mm that each point lies in, from 0 without gaps."""
-    cell = np.floor((points - points.min(axis=0)) / side).astype(np.int64) if len(points) else np.zeros((0, 3), np.int64)
+    cell = (
+        np.floor((points - points.min(axis=0)) / side).astype(np.int64) if len(points) else np.zeros((0, 3), np.int64)
+    )
     size = cell.max(axis=0, initial=0) + 1
-    return np.asarray(np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_inverse=True)[1]).ravel()
+    return np.asarray(
+        np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_inverse=True)[1]
+    ).ravel()
 
 
 def _loose(covariance: Array) -> tuple[Array, tuple[str, ...]]:
@@ -151,7 +159,9 @@ def _loose(covariance: Array) -> tuple[Array, tuple[str, ...]]:
     words = []
     for motion in motions:
         shift, turn = motion[:3], motion[3:]
-        kind, direction = ("slides along", shift) if np.linalg.norm(shift) > np.linalg.norm(turn) else ("turns about", turn)
+        kind, direction = (
+            ("slides along", shift) if np.linalg.norm(shift) > np.linalg.norm(turn) else ("turns about", turn)
+        )
         unit = direction / max(float(np.linalg.norm(direction)), 1e-12)
         words.append(f"{kind} ({unit[0]:.2f}, {unit[1]:.2f}, {unit[2]:.2f})")
     return motions, tuple(words)

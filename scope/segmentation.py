@@ -56,7 +56,9 @@ def clusters(cloud: ScanCloud, diameter: float, face: float, *, region: Region |
     if region is not None:
         return [keep] if len(keep) >= LEAST_POINTS else []
     pieces = _joined(cloud.points, _connected(cloud.points, keep, cell), diameter)
-    large = [p for p in pieces if len(p) >= max(LEAST_POINTS, 0.02 * len(keep)) and extent(cloud.points[p]) > 0.2 * diameter]
+    large = [
+        p for p in pieces if len(p) >= max(LEAST_POINTS, 0.02 * len(keep)) and extent(cloud.points[p]) > 0.2 * diameter
+    ]
     if not large:
         raise MeasurementError(
             f"the largest of {len(pieces)} piece(s) has {max((len(p) for p in pieces), default=0)} points; "
