@@ -209,7 +209,7 @@ def fit_levels(
     Raises
     ------
     MeasurementError
-        A level with fewer than 50 points.
+        A level with fewer than 50 points, or one that is not flat.
     """
     levels = np.concatenate([[0.0], heights])
     window = min(0.4 * float(np.diff(np.sort(levels)).min()), 1.0)
@@ -271,4 +271,11 @@ def _refined_levels(points: Array, normal: Array, offset: Array, window: float) 
         covariance = np.linalg.pinv(j.T @ j)[2:, 2:] * variance
         if np.abs(step).max() < 1e-9:
             break
+    if (limit > 0.8 * window).any():
+        bad = int(np.argmax(limit))
+        name = "the base" if bad == 0 else f"the step of {offset[bad] - offset[0]:.3g} mm"
+        raise MeasurementError(
+            f"{name} is not flat: its points spread over the whole {window:.2g} mm about it; these are not the steps named, "
+            "or more than they is in the region"
+        )
     return Levels(normal, offset, covariance, level, np.where(level >= 0, residual, 0.0))

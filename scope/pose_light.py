@@ -117,7 +117,7 @@ def eyes(cloud: ScanCloud, rows: Ints) -> tuple[Array | None, Array | None]:
     return sensors.centre[found], laser if np.isfinite(laser).all() else None
 
 
-def light_of(cloud: ScanCloud, others: Array, *, voxel: float, rows: int = 48) -> Light | None:
+def light_of(cloud: ScanCloud, others: Array, *, voxel: float, rows: int = 32) -> Light | None:
     """The geometry of a scan; None where the cloud does not say where its camera was.
 
     Parameters

@@ -121,11 +121,25 @@ def angle_between(a: Array, b: Array) -> Array:
     return np.asarray(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
 
 
-def distinct(rotation: Array, translation: Array, cost: Array, centre: Array, turn: float, shift: float) -> Ints:
-    """Indices of poses in order of cost, each at least ``turn`` rad or ``shift`` mm (at ``centre``) from the better ones."""
+def distinct(
+    rotation: Array,
+    translation: Array,
+    cost: Array,
+    centre: Array,
+    turn: float,
+    shift: float,
+    *,
+    most: int | None = None,
+) -> Ints:
+    """Indices of poses in order of cost, each at least ``turn`` rad or ``shift`` mm (at ``centre``) from the better ones.
+
+    With ``most``, no more than so many.
+    """
     kept: list[int] = []
     at = rotation @ centre + translation
     for i in np.argsort(cost, kind="stable"):
+        if most is not None and len(kept) == most:
+            break
         if kept:
             near = (angle_between(rotation[kept], rotation[i]) < turn) & (
                 np.linalg.norm(at[kept] - at[i], axis=1) < shift
@@ -215,7 +229,7 @@ def _likenesses(
     shift = middle - start @ middle
     reach = diameter * np.array([0.12, 0.12, 0.1, 0.1, 0.08, 0.06, 0.05, 0.04, 0.03, 0.03])
     rough = align(coarse, few, out, start, shift, reach)
-    kept = distinct(rough.rotation, rough.translation, rough.cost, middle, 0.1, 0.03 * diameter)[:60]
+    kept = distinct(rough.rotation, rough.translation, rough.cost, middle, 0.1, 0.03 * diameter, most=60)
     many, more = np.ascontiguousarray(samples[::12]), np.ascontiguousarray(normals[::12])
     reach = diameter * np.array([0.03, 0.02, 0.02, 0.015, 0.01, 0.01])
     done = align(fine, many, more, rough.rotation[kept], rough.translation[kept], reach)

@@ -98,7 +98,7 @@ def search(
     p, n = np.ascontiguousarray(points[few]), np.ascontiguousarray(view.normals[few])
     reach = d * np.array([0.2, 0.2, 0.15, 0.15, 0.1, 0.1, 0.08, 0.06, 0.05, 0.04])
     rough = align(model.coarse, p, n, start, shift, reach)
-    kept = distinct(rough.rotation, rough.translation, rough.cost, middle, 0.12, 0.04 * d)[: 4 * keep]
+    kept = distinct(rough.rotation, rough.translation, rough.cost, middle, 0.12, 0.04 * d, most=4 * keep)
     reach = d * np.array([0.05, 0.04, 0.03, 0.02, 0.02, 0.015])
     mid = align(model.fine, p, n, rough.rotation[kept], rough.translation[kept], reach)
     kept = distinct(mid.rotation, mid.translation, mid.cost, middle, 0.05, 0.02 * d)
