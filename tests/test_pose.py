@@ -48,34 +48,21 @@ def refusal(cloud: ScanCloud, known: Model) -> str:
     return found.why
 
 
-@pytest.mark.parametrize(("name", "flags"), [("bracket", 2), ("plate", 40), ("casting", 2)])
-def test_forty_scans_give_no_wrong_pose_unflagged(name: str, flags: int) -> None:
-    """The plate's many undecidable views (thin edges, features out of sight) may be flagged; a wrong pose never passes."""
+@pytest.mark.parametrize("name", ["bracket", "plate", "casting"])
+def test_forty_scans_give_no_wrong_pose_unflagged(name: str) -> None:
+    """A wrong pose never passes; not more than two are flagged but for those that the truth shows to be undecidable."""
     wrong, flagged = [], []
     for seed in range(40):
         cloud, truth = scan(name, 7000 + seed)
         found = estimate_pose(cloud, model(name))
         if found.cloud_from_model is None:
-            flagged.append(seed)
-            continue
-        if not right(*errors(part(name), found.cloud_from_model, truth)):
+            rivals = [truth @ motion for motion in model(name).likenesses]
+            if not any(undecidable(part(name), truth, rival) for rival in rivals):
+                flagged.append((seed, found.why))
+        elif not right(*errors(part(name), found.cloud_from_model, truth)):
             wrong.append(seed)
     assert not wrong
-    assert len(flagged) <= flags
-
-
-def test_plate_is_flagged_only_where_the_truth_is_undecidable() -> None:
-    decidable = 0
-    for seed in range(12):
-        cloud, truth = scan("plate", 7100 + seed)
-        rivals = [truth @ motion for motion in model("plate").likenesses]
-        if any(undecidable(part("plate"), truth, rival) for rival in rivals):
-            continue
-        decidable += 1
-        found = estimate_pose(cloud, model("plate"))
-        assert found.cloud_from_model is not None, (seed, found.why)
-        assert right(*errors(part("plate"), found.cloud_from_model, truth))
-    assert decidable >= 5
+    assert len(flagged) <= 2, flagged
 
 
 def test_ambiguous_answer_carries_no_matrix_but_all_candidates() -> None:
@@ -114,10 +101,9 @@ def test_clutter() -> None:
 
 @pytest.mark.parametrize(("scanned", "known"), [("bracket", "plate"), ("plate", "casting"), ("casting", "bracket")])
 def test_wrong_model_is_refused_with_the_reason(scanned: str, known: str) -> None:
-    for seed in range(2):
-        cloud, _ = scan(scanned, 7300 + seed)
-        why = refusal(cloud, model(known))
-        assert any(word in why for word in ("%", "alike", "hold", "part"))
+    cloud, _ = scan(scanned, 7300)
+    why = refusal(cloud, model(known))
+    assert any(word in why for word in ("%", "alike", "hold", "part"))
 
 
 def test_two_equal_parts_give_two_poses() -> None:
