@@ -169,13 +169,10 @@ def _known_noise(options: StripeOptions) -> Noise | None:
 
 def _looks_speckled(table: Array) -> bool:
     """Whether the profiles, or the peaks of neighbouring lines, differ by more than shot and read noise explain."""
-    misfit = table[t.MISFIT]
-    good = np.isfinite(misfit)
-    if np.count_nonzero(good) < 40:
-        return False
-    peak = table[t.PEAK, good]
-    rough = np.median(np.abs(np.diff(peak)) / peak[1:])
-    return bool(np.median(misfit[good]) > 1.4 or rough > 0.06)
+    from ranging.stripe_judge import count_uneven
+
+    good, misfits, rough = count_uneven(table, 2.2, 0.06)
+    return bool(good >= 40 and max(misfits, rough) > 0.5 * good)
 
 
 def _learn(

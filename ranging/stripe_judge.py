@@ -95,6 +95,21 @@ def judge(
 
 
 @compiled
+def count_uneven(table: Array, misfit: float, roughness: float) -> tuple[int, int, int]:
+    """How many lines are GOOD, how many exceed ``misfit``, and how many differ in peak from the one before by more than
+    the share ``roughness``."""
+    good, misfits, rough = 0, 0, 0
+    for i in range(table.shape[1]):
+        if table[STATE, i] != GOOD:
+            continue
+        good += 1
+        misfits += 1 if table[MISFIT, i] > misfit else 0
+        if i > 0 and abs(table[PEAK, i] - table[PEAK, i - 1]) > roughness * table[PEAK, i]:
+            rough += 1
+    return good, misfits, rough
+
+
+@compiled
 def stretches(table: Array, reason: Codes, begin: NDArray[np.int32], end: NDArray[np.int32]) -> int:
     """First and last lines of the unbroken stretches of stripe; returns how many there are.
 
