@@ -47,7 +47,9 @@ def bound(sigma: float, peak: float, *, clipped: bool = False) -> float:
         position = np.array([LENGTH / 2 + phase])
         m = profile(position, sigma, peak, LENGTH)[0]
         step = 1e-4
-        slope = (profile(position + step, sigma, peak, LENGTH) - profile(position - step, sigma, peak, LENGTH))[0] / (2 * step)
+        slope = (profile(position + step, sigma, peak, LENGTH) - profile(position - step, sigma, peak, LENGTH))[0] / (
+            2 * step
+        )
         variance = m / GAIN + READ**2 + 1 / 12
         information = slope**2 / variance
         if clipped:
@@ -116,7 +118,9 @@ def against_the_bound(rows: int, rng: np.random.Generator) -> None:
 
 
 def in_speckle(rows: int, rng: np.random.Generator) -> None:
-    print("| speckle of contrast 0.3 | auto over centre of mass | speckle mode | shot weight | error / sigma (auto) | without |")
+    print(
+        "| speckle of contrast 0.3 | auto over centre of mass | speckle mode | shot weight | error / sigma (auto) | without |"
+    )
     print("| --- | --- | --- | --- | --- | --- |")
     for grain in (1.0, 2.0, 4.0):
         for sigma in (1.0, 1.4, 2.5):

@@ -73,7 +73,9 @@ def start_up() -> None:
     work = "from ranging.stripe import extract\nextract(im, along='columns')\n"
     wall(base + work)
     with_work, without = (min(wall(code) for _ in range(5)) for code in (base + work, base))
-    print(f"start-up to the first stripe, kernels on disk: {with_work:.2f} s (numpy and cv2 alone {without:.2f} s); limit 1.5 s")
+    print(
+        f"start-up to the first stripe, kernels on disk: {with_work:.2f} s (numpy and cv2 alone {without:.2f} s); limit 1.5 s"
+    )
 
 
 def main() -> None:
@@ -97,7 +99,9 @@ def main() -> None:
                 },
                 rounds,
             )
-            print(f"| along {along}, width {sigma} px | {found['mass']:.1f} | {found['bare']:.2f} | {found['full']:.2f} |")
+            print(
+                f"| along {along}, width {sigma} px | {found['mass']:.1f} | {found['bare']:.2f} | {found['full']:.2f} |"
+            )
     start_up()
 
 

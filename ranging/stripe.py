@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -142,6 +142,27 @@ def extract(
     if noise is None or options.speckle == "on" or (options.speckle == "auto" and _looks_speckled(table)):
         noise, contrast = _learn(view, peaks, table, noise, options)
     return _stripe(along, table, peaks, noise, contrast, view.saturation, options)
+
+
+def estimate_noise(
+    images: Sequence[Image], *, along: Along, options: StripeOptions | None = None, background: Image | None = None
+) -> Noise:
+    """Gain and read noise of the camera from a few stripe images of one capture.
+
+    Each image tells its own by how its lines differ from their neighbours (see `ranging.stripe_speckle`); texture can
+    only add to that, so the quieter images are believed: upper quartile of the gains, lower quartile of the read noises.
+    Give the result to `StripeOptions`, so that not every frame has to learn it anew. Images on which too few lines are
+    lit fall back to `typical_noise`.
+    """
+    if not images:
+        raise ValueError("at least one image")
+    asked = replace(options or StripeOptions(), gain_e=None, read_noise=None, speckle="off", neighbours=False)
+    found = [extract(image, along=along, options=asked, background=background).noise for image in images]
+    known = [noise for noise in found if noise is not None]
+    return Noise(
+        float(np.percentile([noise.gain_e for noise in known], 75)),
+        float(np.percentile([noise.read_noise for noise in known], 25)),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

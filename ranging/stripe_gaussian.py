@@ -101,7 +101,9 @@ def fit_lines(
                 for m in range(BATCH):
                     low_right[m] = min(low_right[m], y[k, m] + np.float32(1e9) * (np.float32(1.0) - known[k, m]))
             for m in range(BATCH):
-                b[m] = np.float32(0.5) * (low_left[m] + low_right[m])
+                left, right = min(low_left[m], np.float32(1e8)), min(low_right[m], np.float32(1e8))
+                left, right = (left if left < 1e8 else right), (right if right < 1e8 else left)
+                b[m] = np.float32(0.5) * (left + right)
                 a[m] = max(a[m] - b[m], np.float32(1e-3))
                 p[m] = 0.0
                 s[m] = 0.0
