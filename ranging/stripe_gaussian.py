@@ -44,9 +44,9 @@ Single: TypeAlias = Any  # a float32 of the machine
 Lanes: TypeAlias = NDArray[np.float32]
 
 BATCH = 16  # lines
-NEAR = 8  # px; half window in which the flanks of most stripes are found
+NEAR = 6  # px; half window in which the flanks of most stripes are found
 FAR = 24  # px; the longest half window
-WINGS = 3.5  # sigma; half window of the fit, before it is rounded up
+WINGS = 3.0  # sigma; half window of the fit, before it is rounded up
 LONGEST = 2 * FAR + 1
 MASKED = 1e-6  # least weight of a clipped pixel
 
@@ -85,9 +85,10 @@ def fit_lines(
     clipped = np.zeros(BATCH, np.int64)
     inverse_gain = np.float32(1.0 / gain_e)
     noise = np.float32(variance)
-    reach = NEAR
+    reach, wing = NEAR, NEAR
     for start in range(0, count, BATCH):
-        # 1. Windows and first values, from what stands above half of the peak.
+        # 1. Windows and first values, from what stands above half of the peak; lines near by are as wide as the last.
+        reach = min(reach, max(NEAR, wing + 1))
         while True:
             _gather(pixels, dark, layout, place, start, reach, saturation, y, known, clipped, half, centre)
             for m in range(BATCH):

@@ -96,8 +96,10 @@ def judge(
 
 @compiled
 def count_uneven(table: Array, misfit: float, roughness: float) -> tuple[int, int, int]:
-    """How many lines are GOOD, how many exceed ``misfit``, and how many differ in peak from the one before by more than
-    the share ``roughness``."""
+    """Count the lines that are GOOD, those that exceed ``misfit``, and those unlike the line before.
+
+    Unlike: their peaks differ by more than the share ``roughness``.
+    """
     good, misfits, rough = 0, 0, 0
     for i in range(table.shape[1]):
         if table[STATE, i] != GOOD:
@@ -161,7 +163,7 @@ def compare(
         for q in range(blocks):
             centre = first + (2 * q + 1) * (last - first + 1) // (2 * blocks)
             n = 0
-            for i in range(max(first, centre - BLOCK // 2), min(last, centre + BLOCK // 2) + 1):
+            for i in range(max(first, centre - BLOCK // 2), min(last, centre + BLOCK // 2) + 1, 2):
                 if reason[i] == RANGED:
                     block[n] = table[WIDTH, i]
                     n += 1
