@@ -16,7 +16,7 @@ from calibration.geometry import Array, Bools, Ints
 _TOLERANCE = 0.25  # steps: how far a point may lie from where its neighbours predict it
 _STRAY = 0.15  # steps: the same once the lattice is complete
 _LEAST_STRAY = 0.04  # steps: the same where the neighbours lie all around
-_INTERIOR, _FEW = 4.8, 1.2  # weight of neighbours that lie all around, and of too few to tell the cell's size
+_INTERIOR = 4.8  # weight of neighbours that lie all around
 _NEIGHBOURS = 12
 _SEEDS = 40
 
@@ -27,7 +27,7 @@ class Lattice:
 
     index: Ints  # (N, 2), (i, j); meaningless where not on the lattice
     on: Bools  # (N,) which points are on it
-    side: Array  # (N,) px, of a square of the area of the cell about the point; NaN where too few neighbours tell
+    side: Array  # (N,) px, of a square of the area of the cell about the point
 
 
 def index_lattice(points: Array, aspect: float = 1.0) -> Lattice:
@@ -65,28 +65,29 @@ def index_lattice(points: Array, aspect: float = 1.0) -> Lattice:
         keep = miss < np.where(weight > _INTERIOR, limit, _STRAY)
         if keep.sum() < max(4, best.on.sum()):
             continue
-        cell, keep = _straighten(points, _primitive(cell, keep), keep)
-        if keep.sum() > best.on.sum():
-            miss, side, weight = kernel.misfit(points, cell, basis, reach).T
-            best = Lattice(cell, keep, np.where(weight > _FEW, side, np.nan))
+        grown = _straighten(points, Lattice(_primitive(cell, keep), keep, side))
+        if grown.on.sum() > best.on.sum():
+            best = grown
         if best.on.sum() > 0.6 * n:
             break
     return best
 
 
-def _straighten(points: Array, index: Ints, on: Bools) -> tuple[Ints, Bools]:
+def _straighten(points: Array, grown: Lattice) -> Lattice:
     """Drop points that no smooth map of the whole lattice explains, and take in those that it does.
 
     The map is a homography followed by a polynomial, which takes what the lens bends, fitted with weights that fall
     with the residual (Cauchy). What grew wrong at one place is seen from all the others.
     """
-    centre, scale = points[on].mean(axis=0), float(np.abs(points[on] - points[on].mean(axis=0)).max())
+    index, kept, side = grown.index, grown.on, grown.side
+    centre = points[kept].mean(axis=0)
+    scale = float(np.abs(points[kept] - centre).max())
     p = (points - centre) / scale
-    kept = on
+    step = 0.1 * float(np.median(side[kept])) / scale
     for _ in range(3):
         order = 4 if kept.sum() >= 60 else 3 if kept.sum() >= 30 else 2 if kept.sum() >= 14 else 1
         if kept.sum() < 8:
-            return index, kept
+            return Lattice(index, kept, side)
         low, high = index[kept].min(axis=0), index[kept].max(axis=0)
         middle, span = (low + high) / 2.0, max(float((high - low).max()) / 2.0, 1.0)
         # pixels to indices: that way the polynomial needs no inverse to be asked where a point lies
@@ -108,10 +109,15 @@ def _straighten(points: Array, index: Ints, on: Bools) -> tuple[Ints, Bools]:
         new = np.zeros(len(points), np.bool_)
         new[candidates[first]] = True
         settled = bool((new == kept).all() and (nearest[kept] == index[kept]).all())
+        east, south = (
+            (_to_index(p + d, p[kept], where[kept], weight, order) * span + middle - guess) / (step * scale)
+            for d in np.eye(2) * step
+        )
+        side = 1.0 / np.sqrt(np.abs(east[:, 0] * south[:, 1] - east[:, 1] * south[:, 0]) + 1e-12)
         index, kept = np.where(new[:, None], nearest, -1), new
         if settled:
             break
-    return index - index[kept].min(axis=0) + 4 if kept.any() else index, kept
+    return Lattice(index, kept, side)
 
 
 def _to_index(p: Array, known: Array, where: Array, weight: Array, order: int) -> Array:
