@@ -104,6 +104,11 @@ def label_grid(
             f"only {int(on.sum())} of {len(spots)} spots form a grid; the grid of {target.rows} x {target.columns} "
             "must fill most of the view: check polarity, reflections and whether this is the right target"
         )
+    if lattice.strays > 0.12 * on.sum():
+        raise CalibrationError(
+            f"{lattice.strays} spots lie between the {int(on.sum())} that form a grid: which is which cannot be told: "
+            "clean the target, remove reflections or look at it less obliquely"
+        )
     where = np.flatnonzero(on)
     cell = _right_handed(index[on], points[on])
     if target.fiducials:

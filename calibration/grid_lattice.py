@@ -28,6 +28,7 @@ class Lattice:
     index: Ints  # (N, 2), (i, j); meaningless where not on the lattice
     on: Bools  # (N,) which points are on it
     side: Array  # (N,) px, of a square of the area of the cell about the point
+    strays: int  # points among the cells that are not on it: dirt, or a part that could not be followed
 
 
 def index_lattice(points: Array, aspect: float = 1.0) -> Lattice:
@@ -49,25 +50,35 @@ def index_lattice(points: Array, aspect: float = 1.0) -> Lattice:
     from calibration import grid_kernel as kernel
 
     n = len(points)
-    best = Lattice(np.zeros((n, 2), np.int64), np.zeros(n, np.bool_), np.full(n, np.nan))
+    best = Lattice(np.zeros((n, 2), np.int64), np.zeros(n, np.bool_), np.full(n, np.nan), n)
     if n < 4:
         return best
     points = np.ascontiguousarray(points, dtype=np.float64)
     reach = min(n, 3 * int(np.ceil(np.sqrt(n))) + 30) + 4
     for seed, basis in _seeds(points, aspect):
-        cell = kernel.grow(points, seed, basis, reach, _TOLERANCE)
-        miss, side, weight = kernel.misfit(points, cell, basis, reach).T
-        known = np.isfinite(miss)
-        if known.sum() <= best.on.sum():
-            continue
-        # a stray point near a lattice place is told by how well the others fit
-        limit = np.clip(8.0 * float(np.median(miss[known])), _LEAST_STRAY, _STRAY)
-        keep = miss < np.where(weight > _INTERIOR, limit, _STRAY)
-        if keep.sum() < max(4, best.on.sum()):
-            continue
-        grown = _straighten(points, Lattice(_primitive(cell, keep), keep, side))
-        if grown.on.sum() > best.on.sum():
-            best = grown
+        start = np.full((n, 2), -1, np.int64)
+        start[seed] = reach
+        for _ in range(3):
+            cell = kernel.grow(points, start, basis, reach, _TOLERANCE)
+            miss, side, weight = kernel.misfit(points, cell, basis, reach).T
+            known = np.isfinite(miss)
+            if known.sum() < 4:
+                break
+            # a stray point near a lattice place is told by how well the others fit
+            limit = np.clip(8.0 * float(np.median(miss[known])), _LEAST_STRAY, _STRAY)
+            keep = miss < np.where(weight > _INTERIOR, limit, _STRAY)
+            if keep.sum() < 4:
+                break
+            found = _straighten(points, Lattice(_primitive(cell, keep), keep, side, 0))
+            if found.on.sum() > best.on.sum():
+                best = found
+            if found.strays <= 0.02 * found.on.sum():
+                break
+            # the map of the whole has thrown out what grew wrong: grow again from what is left
+            middle = np.round(found.index[found.on].mean(axis=0)).astype(np.int64)
+            start = np.where(found.on[:, None], found.index - middle + reach, -1)
+            if (start[found.on] < 4).any() or (start[found.on] > 2 * reach - 4).any():
+                break
         if best.on.sum() > 0.6 * n:
             break
     return best
@@ -83,11 +94,12 @@ def _straighten(points: Array, grown: Lattice) -> Lattice:
     centre = points[kept].mean(axis=0)
     scale = float(np.abs(points[kept] - centre).max())
     p = (points - centre) / scale
+    strays = 0
     step = 0.1 * float(np.median(side[kept])) / scale
     for _ in range(3):
         order = 4 if kept.sum() >= 60 else 3 if kept.sum() >= 30 else 2 if kept.sum() >= 14 else 1
         if kept.sum() < 8:
-            return Lattice(index, kept, side)
+            return Lattice(index, kept, side, int((~kept).sum()))
         low, high = index[kept].min(axis=0), index[kept].max(axis=0)
         middle, span = (low + high) / 2.0, max(float((high - low).max()) / 2.0, 1.0)
         # pixels to indices: that way the polynomial needs no inverse to be asked where a point lies
@@ -114,10 +126,11 @@ def _straighten(points: Array, grown: Lattice) -> Lattice:
             for d in np.eye(2) * step
         )
         side = 1.0 / np.sqrt(np.abs(east[:, 0] * south[:, 1] - east[:, 1] * south[:, 0]) + 1e-12)
+        strays = int((((nearest >= low) & (nearest <= high)).all(axis=1) & ~new).sum())
         index, kept = np.where(new[:, None], nearest, -1), new
         if settled:
             break
-    return Lattice(index, kept, side)
+    return Lattice(index, kept, side, strays)
 
 
 def _to_index(p: Array, known: Array, where: Array, weight: Array, order: int) -> Array:
