@@ -141,4 +141,4 @@ def _eight_bit(image: NDArray[np.generic]) -> NDArray[np.uint8]:
         return np.ascontiguousarray(grey)
     low, high = np.percentile(grey[:: max(1, grey.shape[0] // 512), :: max(1, grey.shape[1] // 512)], [0.1, 99.9])
     scaled = (grey.astype(np.float64) - low) * (255.0 / max(high - low, 1e-9))
-    return np.clip(np.round(scaled), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.round(scaled), 0, 255), dtype=np.uint8)

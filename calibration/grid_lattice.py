@@ -162,15 +162,11 @@ def _primitive(index: Ints, on: Bools) -> Ints:
     That happens where the first step was taken to dirt that lies half way between two points.
     """
     for _ in range(2):
-        i, j = index[on].T
-        for test, halved in (
-            (i, lambda x: np.stack([x[:, 0] // 2, x[:, 1]], axis=1)),
-            (j, lambda x: np.stack([x[:, 0], x[:, 1] // 2], axis=1)),
-            (i + j, lambda x: np.stack([(x[:, 0] + x[:, 1]) // 2, (x[:, 0] - x[:, 1]) // 2], axis=1)),
-        ):
-            odd = float(np.mean(test % 2))
+        for parity, halved in (((1, 0), ((1, 0), (0, 2))), ((0, 1), ((2, 0), (0, 1))), ((1, 1), ((1, 1), (1, -1)))):
+            odd = float(np.mean(index[on] @ np.array(parity) % 2))
             if min(odd, 1.0 - odd) < 0.03:
-                index = halved(index - np.array([1, 0]) if odd > 0.5 and test is not j else index - np.array([0, int(odd > 0.5)]))
+                first = np.array([1, 0]) if parity[0] else np.array([0, 1])
+                index = ((index - first * round(odd)) @ np.array(halved).T) // 2
                 break
         else:
             break

@@ -210,8 +210,8 @@ def measure_marks(
     else:
         reason = ["no mark in the image"] * len(asked)
     names, counts = np.unique(chosen[chosen >= 0], return_counts=True)
-    for k in names[counts > 1]:
-        for i in np.flatnonzero(chosen == k):
+    for twice in names[counts > 1]:
+        for i in np.flatnonzero(chosen == twice).tolist():
             chosen[i], reason[i] = -1, "another listed pixel is nearest to the same mark"
     hit = chosen >= 0
 

@@ -47,7 +47,7 @@ def chessboard(rows, columns, square, mm):
 def test_chessboard_corners_are_where_they_were_drawn(depth):
     target = Chessboard(6, 9, (10.0, 10.0))
     image = picture(chessboard(6, 9, 10.0, 0.25), 0.25, HOMOGRAPHY)
-    truth = pixels(HOMOGRAPHY, target.marks + [20.0, 20.0, 0.0])
+    truth = pixels(HOMOGRAPHY, target.marks + np.array([20.0, 20.0, 0.0]))
     found = find_chessboard(image.astype(depth) * (257 if depth is np.uint16 else 1), target)
     error = found.pixels - truth
     turned = found.pixels[::-1] - truth
@@ -72,14 +72,14 @@ def charuco_image(homography=HOMOGRAPHY):
 
 def test_charuco_corners_are_where_they_were_drawn():
     found = find_charuco(charuco_image(), CHARUCO)
-    truth = pixels(HOMOGRAPHY, CHARUCO.marks + [10.0, 10.0, 0.0])
+    truth = pixels(HOMOGRAPHY, CHARUCO.marks + np.array([10.0, 10.0, 0.0]))
     assert len(found.mark) == len(truth)
     assert np.sqrt(np.mean((found.pixels - truth[found.mark]) ** 2)) < 0.1
 
 
 def test_part_of_a_charuco_board_keeps_its_numbers():
     found = find_charuco(np.ascontiguousarray(charuco_image()[:, 300:]), CHARUCO)
-    truth = pixels(HOMOGRAPHY, CHARUCO.marks + [10.0, 10.0, 0.0]) - [300, 0]
+    truth = pixels(HOMOGRAPHY, CHARUCO.marks + np.array([10.0, 10.0, 0.0])) - [300, 0]
     assert 8 <= len(found.mark) < 48
     assert np.sqrt(np.mean((found.pixels - truth[found.mark]) ** 2)) < 0.1
 

@@ -41,7 +41,7 @@ def flat(target, matrix=((50.0, 0.0), (0.0, 50.0)), origin=(60.0, 70.0)):
 
 @pytest.mark.parametrize(
     ("options", "sets", "least"),
-    [({}, 150, 0.97), ({"fiducials": False}, 40, 0.9), ({"lose_fiducials": True}, 40, 0.5)],
+    [({}, 70, 0.95), ({"fiducials": False}, 25, 0.9), ({"lose_fiducials": True}, 25, 0.5)],
 )
 def test_never_a_wrong_label(options, sets, least):
     """A refusal costs a picture; a wrong label costs the calibration."""

@@ -37,7 +37,7 @@ def scene(rng, rows=6, columns=8, radius=7.0, blur=0.9, pitch=36, ground=20.0, c
             image[i * pitch : (i + 1) * pitch, j * pitch : (j + 1) * pitch] += contrast * disk(
                 (pitch, pitch), centre, radius, blur
             )
-            truth.append(centre + (j * pitch, i * pitch))
+            truth.append(centre + np.array([j, i]) * pitch)
     return image, np.array(truth)
 
 
@@ -86,9 +86,7 @@ def test_the_edge_beats_the_paper_and_the_paper_beats_counting():
     rms = {}
     for method in ("edge", "paper", "gray", "binary"):
         shots = np.random.default_rng(4)
-        squares = [
-            np.mean(errors(find_spots(expose(image, shots), method=method), truth)[0] ** 2) for _ in range(4)
-        ]
+        squares = [np.mean(errors(find_spots(expose(image, shots), method=method), truth)[0] ** 2) for _ in range(4)]
         rms[method] = np.sqrt(np.mean(squares))
     assert rms["edge"] < 0.95 * rms["paper"]
     assert rms["paper"] < 0.8 * rms["gray"]
@@ -229,7 +227,7 @@ def test_noise_alone_makes_no_spots():
 
 @pytest.mark.parametrize("image", [np.zeros((4, 4, 3)), np.zeros((0, 5)), np.full((30, 30), np.nan)])
 def test_what_is_no_image_is_a_wrong_argument(image):
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="an image"):
         find_spots(image)
 
 
