@@ -94,10 +94,10 @@ def view(
         pixels = project(place, focal, centre, lens)
         step = 1e-3
         right = project(
-            (target.marks + [step, 0, 0] - middle) @ rotation.T + np.array([0, 0, depth]), focal, centre, lens
+            (target.marks + np.array([step, 0, 0]) - middle) @ rotation.T + np.array([0, 0, depth]), focal, centre, lens
         )
         down = project(
-            (target.marks + [0, step, 0] - middle) @ rotation.T + np.array([0, 0, depth]), focal, centre, lens
+            (target.marks + np.array([0, step, 0]) - middle) @ rotation.T + np.array([0, 0, depth]), focal, centre, lens
         )
         a, b = (right - pixels) / step, (down - pixels) / step
         scale = np.sqrt(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))  # px a mm
