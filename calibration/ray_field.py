@@ -325,7 +325,7 @@ def _repetition(residuals: Array, group: np.typing.NDArray[np.int64]) -> float:
 
 @lru_cache(maxsize=32)
 def _series(field: RayField) -> Series:
-    """x and y of B, then of A, as functions of the pixel's square coordinates."""
+    """Coordinates x and y of B, then of A, as functions of the pixel's square coordinates."""
     from calibration.series import Series
 
     slope, start = polynomial.exponents(field.slope_order), polynomial.exponents(field.origin_order)

@@ -67,7 +67,9 @@ def test_ray_field_agrees_with_its_own_design(oblique: bool) -> None:
     rows = field.design(pixels, depth)
     lever = ((depth - 12.0) / 400.0)[:, None]
     assert np.allclose(field.rays(pixels).at_depth(depth)[:, :2], rows @ field.coefficients, atol=1e-10)
-    assert np.allclose(field.sigma_at(pixels, depth) / 0.02, np.sqrt(np.einsum("nd,de,ne->n", rows, field.inverse, rows)), rtol=1e-9)
+    assert np.allclose(
+        field.sigma_at(pixels, depth) / 0.02, np.sqrt(np.einsum("nd,de,ne->n", rows, field.inverse, rows)), rtol=1e-9
+    )
     square, by_pixel = field.domain.square_and_jacobian(pixels)
     both = [
         np.hstack([b * lever, a])
