@@ -16,9 +16,11 @@ from scope.calibration_report import (
     verification_text,
 )
 from scope.demo import demo_text, run_demo
+from scope.filters import FilterOptions
 from scope.scan_file import scan_to_file
 from scope.scan_report import scan_page, scan_result, scan_text
-from scope.scanning import Scan, ScanOptions, run_scan, scan
+from scope.scanning import ScanOptions, run_scan, scan
+from scope.tally import Scan
 from scope.templates import TEMPLATES, write_template
 from scope.verifying import check_plane, verify
 
@@ -63,11 +65,17 @@ def scan_options(
     normals: bool = False,
     max_sigma: float | None = None,
     extrapolate: float = 0.0,
+    isolated: int | None = None,
+    max_incidence: float | None = None,
+    voxel: float | None = None,
 ) -> ScanOptions:
     """Options of a scan as the command line gives them."""
     from ranging.stripe import StripeOptions
 
-    return ScanOptions(StripeOptions(method=method), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals)
+    return ScanOptions(
+        StripeOptions(method=method), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals,
+        filters=FilterOptions(isolated=isolated, max_incidence=max_incidence, voxel=voxel),
+    )  # fmt: skip
 
 
 def simulate(
