@@ -26,17 +26,24 @@ def residuals(field: RayField, marks: PlaneMarks) -> Array:
     return np.asarray(world[:, :2] - field.crossing(marks.pixels, world[:, 2]))
 
 
-def slopes(field: RayField, marks: PlaneMarks) -> Array:
-    """Slopes (n, 2) dX/dz in D of the rays that meet the stated marks.
+def expected(field: RayField, pixels: Array, world: Array) -> Array:
+    """Pixels (n, 2) where the field expects marks at world (n, 3) mm in D that were seen at pixels (n, 2): Newton's method.
 
-    They belong to the pixel where the field expects the mark, not to the measured one: a mode that carried the noise of
+    What is compared with the residuals must be taken here, not at the measured pixels: columns that carry the noise of
     the centroids would fit that very noise.
     """
-    depth = field.depth(marks.world)
-    gap = residuals(field, marks)
-    step = np.linalg.solve(field.jacobian(marks.pixels, depth), gap[:, :, None])[:, :, 0]
-    here = marks.pixels + step
-    return np.asarray((field.crossing(here, depth + field.reach) - field.crossing(here, depth)) / field.reach)
+    here = pixels
+    for _ in range(2):
+        gap = world[:, :2] - field.crossing(here, world[:, 2])
+        here = here + np.linalg.solve(field.jacobian(here, world[:, 2]), gap[:, :, None])[:, :, 0]
+    return np.asarray(here)
+
+
+def slopes(field: RayField, marks: PlaneMarks) -> Array:
+    """Slopes (n, 2) dX/dz in D of the rays that meet the stated marks."""
+    world = marks.world @ field.c_from_d
+    here = expected(field, marks.pixels, world)
+    return np.asarray((field.crossing(here, world[:, 2] + field.reach) - world[:, :2]) / field.reach)
 
 
 def across(field: RayField, marks: PlaneMarks, slope: Array, moved: Array) -> Array:
