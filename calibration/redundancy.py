@@ -70,7 +70,7 @@ class _Rows:
         return np.asarray(np.concatenate(blocks)[self.order])
 
 
-def test_planes(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
+def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
     """Eliminate the field of rays and judge the planes by what is left.
 
     Parameters
