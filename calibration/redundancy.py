@@ -113,12 +113,16 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
     ratio = _target_ratio(rows, x, solution, spread)
     if ratio > 0.0:
         solution = _solve(rows, x, spread, terms, ratio)
+    noise = _noise_profile(rows, solution)
+    if noise is not None:
+        x, spread = x / noise[:, None, None], spread / noise[:, None, None]
+        solution = _solve(rows, x, spread, terms, ratio)
     sigma2 = solution.rest / solution.freedom
-    back = np.empty_like(rows.order)
-    back[rows.order] = np.arange(len(back))
-    chi2 = np.einsum("ni,nij,nj->n", solution.pull, solution.pull_inverse, solution.pull) / sigma2
-    shift = np.einsum("nij,nj->ni", solution.pull_inverse, solution.pull)
-    spread_of_shift = np.sqrt(sigma2 * np.trace(solution.pull_inverse, axis1=1, axis2=2) / 2)
+    shift = -np.einsum("nij,nj->ni", solution.pull_inverse, solution.pull)
+    error = np.sqrt(sigma2 * np.trace(solution.pull_inverse, axis1=1, axis2=2) / 2)
+    if noise is not None:
+        shift, error = shift * noise[:, None], error * noise
+    back = np.argsort(rows.order)
     return Redundancy(
         field,
         solution.score / sigma2,
@@ -126,9 +130,9 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
         float(np.sqrt(sigma2)),
         float(np.sqrt(ratio * sigma2)),
         solution.freedom,
-        -shift[back],
-        chi2[back],
-        spread_of_shift[back],
+        shift[back],
+        solution.chi2[back] / sigma2,
+        error[back],
     )
 
 
@@ -142,6 +146,11 @@ class _Solution:
     inverse_half: Array  # (columns, rank): inverse of the normal matrix is this times its transpose
     pull: Array  # (N, 2) P y
     pull_inverse: Array  # (N, 2, 2) inverse of the diagonal blocks of P
+
+    @property
+    def chi2(self) -> Array:
+        """(N,) px^2: weighted square of the shift of each mark by itself."""
+        return np.asarray(np.einsum("ni,nij,nj->n", self.pull, self.pull_inverse, self.pull))
 
 
 def _solve(rows: _Rows, x: Array, spread: Array, terms: int, ratio: float) -> _Solution:
@@ -225,6 +234,31 @@ def _target_ratio(rows: _Rows, x: Array, solution: _Solution, spread: Array) -> 
         return 0.0
     scale = float(np.add.reduceat((spread**2).sum(axis=(1, 2)) / 2, rows.first).mean())
     return (f - 1.0) / scale
+
+
+def _noise_profile(rows: _Rows, solution: _Solution) -> Array | None:
+    """Noise (N,) of each centroid relative to the typical one, or None where it is the same everywhere.
+
+    Planes out of focus are noisier as a whole, and spots far from the middle of the image as a rule. The logarithm of
+    the variance is a constant a plane and a term in the square of the distance from the middle, fitted to the squared
+    shifts (exponentially distributed for normal noise) by Fisher scoring. Significant at 0.1 %.
+    """
+    from scipy.stats import chi2
+
+    away = ((rows.pixels - rows.pixels.mean(axis=0)) ** 2).sum(axis=1)
+    planes = (rows.plane[:, None] == np.arange(len(rows.planes))).astype(np.float64)
+    a = np.column_stack([planes, away / away.max() - 0.5])
+    square = solution.chi2 / 2.0
+    square = np.minimum(square, 8.0 * np.median(square) / np.log(2.0))  # a bad mark is no noise
+    inverse = np.linalg.inv(a.T @ a)
+    theta = np.append(np.full(planes.shape[1], np.log(square.mean())), 0.0)
+    for _ in range(6):
+        theta = theta + inverse @ (a.T @ (square / np.exp(a @ theta) - 1.0))
+    level = a @ theta
+    gain = 2.0 * float((np.log(square.mean()) - level).sum())
+    if not np.isfinite(gain) or chi2.sf(gain, planes.shape[1]) > 1e-3:
+        return None
+    return np.asarray(np.exp((level - level.mean()) / 2.0))
 
 
 def _fit_field(rows: _Rows, basis: RayField) -> RayField:
