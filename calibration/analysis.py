@@ -130,7 +130,7 @@ def split_residuals(field: RayField, planes: Sequence[PlaneMarks]) -> ResidualSp
 
 def _mode_basis(field: RayField, marks: PlaneMarks) -> Array:
     """Orthonormal basis (2n, 7) of the placement modes of one plane, in the target's coordinates."""
-    columns = _in_target(field, marks, placement.modes(field, marks, placement.slopes(field, marks)))
+    columns = _in_target(field, marks, placement.modes(field, marks, _slopes(field, marks)))
     rows = columns.reshape(2 * len(marks), placement.MODES)
     return np.asarray(np.linalg.qr(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300))[0])
 
@@ -138,8 +138,13 @@ def _mode_basis(field: RayField, marks: PlaneMarks) -> Array:
 def _in_target(field: RayField, marks: PlaneMarks, offset: Array) -> Array:
     """Offsets (n, 2, k) mm across depth, slid along the rays into the plane: (n, 2, k) mm in its own coordinates."""
     unit = np.broadcast_to(np.eye(3)[:, :2], (len(marks), 3, 2))
-    seen = placement.across(field, marks, placement.slopes(field, marks), unit)
+    seen = placement.across(field, marks, _slopes(field, marks), unit)
     return np.asarray(np.linalg.solve(seen, offset))
+
+
+def _slopes(field: RayField, marks: PlaneMarks) -> Array:
+    world = marks.world @ field.c_from_d
+    return placement.slopes(field, placement.expected(field, marks.pixels, world), world)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

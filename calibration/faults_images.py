@@ -86,8 +86,7 @@ def _labelled(planes: Sequence[PlaneMarks], c_from_d: Array) -> list[MixUp]:
     """Planes whose map from image to space is mirrored or turned against the others'."""
     maps = []
     for p in planes:
-        a = np.column_stack([p.pixels - p.pixels.mean(axis=0), np.ones(len(p))])
-        linear = np.linalg.lstsq(a, (p.world @ c_from_d)[:, :2], rcond=None)[0][:2].T
+        linear = _linear_map(p, c_from_d)
         maps.append(linear / np.sqrt(max(abs(float(np.linalg.det(linear))), 1e-300)))
     hands = np.array([np.sign(np.linalg.det(m)) for m in maps])
     tie = bool(hands.sum() == 0)
@@ -127,21 +126,36 @@ def _swapped(planes: Sequence[PlaneMarks], c_from_d: Array) -> list[MixUp]:
     stated = _misfit(planes, c_from_d)
     if stated < 0.3:
         return []
-    best, chosen = stated, (0, 0)
+    tried = []
     for i, j in combinations(range(len(planes)), 2):
         changed = list(planes)
         changed[i] = replace(planes[j], c_from_plane=planes[i].c_from_plane)
         changed[j] = replace(planes[i], c_from_plane=planes[j].c_from_plane)
-        misfit = _misfit(changed, c_from_d)
-        if misfit < best:
-            best, chosen = misfit, (i, j)
-    if best > stated / 3.0:
-        return []
+        tried.append((_misfit(changed, c_from_d), i, j, _seen_from_the_front(changed, c_from_d)))
+    best = min(tried)[0]
     without = min(_misfit([p for n, p in enumerate(planes) if n != k], c_from_d) for k in range(len(planes)))
-    if best > 1.5 * without:
+    if best > stated / 3.0 or best > 1.5 * without:
         return []
-    one, other = planes[chosen[0]].name, planes[chosen[1]].name
+    # Four evenly spaced planes look alike in reverse order; a camera that sees them unmirrored decides.
+    fitting = sorted((not front, misfit, i, j) for misfit, i, j, front in tried if misfit <= 1.5 * best)
+    _, _, i, j = fitting[0]
+    one, other = planes[i].name, planes[j].name
     return [MixUp("swapped", one, other, "", ()), MixUp("swapped", other, one, "", ())]
+
+
+def _seen_from_the_front(planes: Sequence[PlaneMarks], c_from_d: Array) -> bool:
+    """Whether a camera that does not mirror can see the target as the planes say: nearer planes look larger."""
+    depth = np.array([(p.world @ c_from_d[:, 2]).mean() for p in planes])
+    maps = [_linear_map(p, c_from_d) for p in planes]
+    size = np.sqrt(np.abs([float(np.linalg.det(m)) for m in maps]))  # mm/px, growing away from the camera
+    away = np.sign(np.polyfit(depth - depth.mean(), size, 1)[0])
+    return bool(away * np.sign(np.linalg.det(maps[0])) > 0)
+
+
+def _linear_map(marks: PlaneMarks, c_from_d: Array) -> Array:
+    """Linear part (2, 2) mm/px of the map from the image to space, across depth."""
+    a = np.column_stack([marks.pixels - marks.pixels.mean(axis=0), np.ones(len(marks))])
+    return np.asarray(np.linalg.lstsq(a, (marks.world @ c_from_d)[:, :2], rcond=None)[0][:2].T)
 
 
 def _misfit(planes: Sequence[PlaneMarks], c_from_d: Array) -> float:

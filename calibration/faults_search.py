@@ -150,11 +150,15 @@ def choose(evidence: Evidence) -> Choice:
     chosen = _select(evidence, None)
     if not _left_over(evidence, chosen):
         return Choice(chosen, evidence, none)
-    scatter = _scatter(evidence, chosen)
-    if not scatter.any():
-        return Choice(chosen, evidence, none)
-    tempered = evidence.tempered(scatter)
-    return Choice(_select(tempered, scatter), tempered, scatter)
+    for _ in range(3):  # what no longer stands out belongs to the scatter
+        scatter = _scatter(evidence, chosen)
+        if not scatter.any():
+            return Choice(chosen, evidence, none)
+        tempered = evidence.tempered(scatter)
+        before, chosen = chosen, _select(tempered, scatter)
+        if chosen == before:
+            break
+    return Choice(chosen, tempered, scatter)
 
 
 def _left_over(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> bool:
@@ -167,14 +171,16 @@ def _left_over(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> bool:
 
 def _select(evidence: Evidence, scatter: Array | None) -> tuple[Hypothesis, ...]:
     """Nothing, one, two, or more hypotheses, each step significant after Bonferroni."""
+    from scipy.stats import chi2
+
+    if chi2.sf(evidence.total, len(evidence.z)) > 0.05:
+        return ()  # a fault that passes the tests below leaves far more than this
     one = singles(evidence.planes)
     fits = {(h,): evidence.fit((h,)) for h in one}
     first = max(fits, key=lambda s: fits[s].score)
     chosen: tuple[Hypothesis, ...] = ()
     if _significant(evidence, (), first, len(one), scatter):
         chosen = first
-    if not chosen and evidence.total < 25.0:
-        return ()
     both = pairs(evidence.planes)
     paired = {pair: evidence.fit(pair) for pair in both}
     second = max(paired, key=lambda s: paired[s].score)

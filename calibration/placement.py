@@ -27,23 +27,20 @@ def residuals(field: RayField, marks: PlaneMarks) -> Array:
 
 
 def expected(field: RayField, pixels: Array, world: Array) -> Array:
-    """Pixels (n, 2) where the field expects marks at world (n, 3) mm in D that were seen at pixels (n, 2): Newton's method.
+    """Pixels (n, 2) where the field expects marks at world (n, 3) mm in D that were seen at pixels (n, 2).
 
-    What is compared with the residuals must be taken here, not at the measured pixels: columns that carry the noise of
-    the centroids would fit that very noise.
+    One step of Newton's method. What is compared with the residuals must be taken here, not at the measured pixels:
+    columns that carry the noise of the centroids would fit that very noise.
     """
-    here = pixels
-    for _ in range(2):
-        gap = world[:, :2] - field.crossing(here, world[:, 2])
-        here = here + np.linalg.solve(field.jacobian(here, world[:, 2]), gap[:, :, None])[:, :, 0]
-    return np.asarray(here)
+    gap = world[:, :2] - field.crossing(pixels, world[:, 2])
+    step = np.linalg.solve(field.jacobian(pixels, world[:, 2]), gap[:, :, None])[:, :, 0]
+    return np.asarray(pixels + step)
 
 
-def slopes(field: RayField, marks: PlaneMarks) -> Array:
-    """Slopes (n, 2) dX/dz in D of the rays that meet the stated marks."""
-    world = marks.world @ field.c_from_d
-    here = expected(field, marks.pixels, world)
-    return np.asarray((field.crossing(here, world[:, 2] + field.reach) - world[:, :2]) / field.reach)
+def slopes(field: RayField, pixels: Array, world: Array) -> Array:
+    """Slopes (n, 2) dX/dz in D of the rays of pixels (n, 2), as of `expected`, through marks at world (n, 3) mm in D."""
+    ahead = field.crossing(pixels, world[:, 2] + field.reach)
+    return np.asarray((ahead - field.crossing(pixels, world[:, 2])) / field.reach)
 
 
 def across(field: RayField, marks: PlaneMarks, slope: Array, moved: Array) -> Array:

@@ -50,6 +50,7 @@ class _Rows:
 
     planes: tuple[PlaneMarks, ...]
     order: Ints  # (N,) from the planes' order to this one
+    back: Ints  # (N,) and back
     plane: Ints  # (N,)
     first: Ints  # (m,) first row of each mark
     pixels: Array  # (N, 2)
@@ -63,7 +64,7 @@ class _Rows:
         plane = np.repeat(np.arange(len(planes)), [len(p) for p in planes])[order]
         pixels = np.concatenate([p.pixels for p in planes])[order]
         world = (np.concatenate([p.world for p in planes]) @ c_from_d)[order]
-        return cls(tuple(planes), order, plane, first, pixels, world)
+        return cls(tuple(planes), order, np.argsort(order), plane, first, pixels, world)
 
     def gather(self, blocks: list[Array]) -> Array:
         """Arrays a plane, as one in this order."""
@@ -90,7 +91,8 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
     here = placement.expected(field, rows.pixels, rows.world)
     to_px = np.linalg.inv(field.jacobian(here, rows.world[:, 2]))
     design = field.design(here, rows.world[:, 2])
-    slope = [placement.slopes(field, p) for p in planes]
+    ends = np.cumsum([len(p) for p in planes])[:-1]
+    slope = np.split(placement.slopes(field, here, rows.world)[rows.back], ends)
     unit = np.eye(3)[:, :2]
     target = rows.gather(
         [
@@ -122,7 +124,6 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
     error = np.sqrt(sigma2 * np.trace(solution.pull_inverse, axis1=1, axis2=2) / 2)
     if noise is not None:
         shift, error = shift * noise[:, None], error * noise
-    back = np.argsort(rows.order)
     return Redundancy(
         field,
         solution.score / sigma2,
@@ -130,9 +131,9 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
         float(np.sqrt(sigma2)),
         float(np.sqrt(ratio * sigma2)),
         solution.freedom,
-        shift[back],
-        solution.chi2[back] / sigma2,
-        error[back],
+        shift[rows.back],
+        solution.chi2[rows.back] / sigma2,
+        error[rows.back],
     )
 
 
