@@ -28,6 +28,7 @@ MODES_OF: dict[Misplacement, tuple[int, ...]] = {
 }
 FALSE_ALARM = 5e-4  # a session, for planes; as much again for single marks
 PENALTY = 9.0  # of chi-square a parameter: a larger hypothesis must be worth it
+UNEXPLAINED = 1e-3  # probability below which what is left is more than noise
 ALIKE = 6.0  # of penalised chi-square: hypotheses closer than this to the best are named with it
 JITTER = ((SLIP_X, SLIP_Y), (ROTATION,), (STAND_OFF,), (TILT_X, TILT_Y))  # modes that share one scatter over planes
 LEAST_FREEDOM = 8  # believed of a scatter over planes, however few they are: a gross fault must not hide in it
@@ -166,7 +167,7 @@ def _left_over(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> bool:
 
     fit = evidence.fit(chosen)
     freedom = len(evidence.z) - fit.freedom
-    return freedom > 0 and bool(chi2.sf(evidence.total - fit.gain, freedom) < 0.01)
+    return freedom > 0 and bool(chi2.sf(evidence.total - fit.gain, freedom) < UNEXPLAINED)
 
 
 def _select(evidence: Evidence, scatter: Array | None) -> tuple[Hypothesis, ...]:
