@@ -9,6 +9,7 @@ be speak against it. A way is taken only where nothing else is as good: a view t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -22,19 +23,12 @@ from calibration.targets import SpotGrid
 
 Turned = Literal[0, 90, 180, 270]
 
-# Maps of lattice indices (i, j) to (column, row) of the target, up to a shift: four turns, then four reflections.
+# Maps of lattice indices (i, j) to (column, row) of the target, up to a shift: the turns and reflections, and all of
+# them along the diagonals of a cell too, since a strong tilt can make these look squarer than its sides.
 _WAYS: tuple[NDArray[np.int64], ...] = tuple(
-    np.array(m, dtype=np.int64)
-    for m in (
-        ((1, 0), (0, 1)),
-        ((0, -1), (1, 0)),
-        ((-1, 0), (0, -1)),
-        ((0, 1), (-1, 0)),
-        ((-1, 0), (0, 1)),
-        ((0, 1), (1, 0)),
-        ((1, 0), (0, -1)),
-        ((0, -1), (-1, 0)),
-    )
+    np.array(((a, b), (c, d)), dtype=np.int64)
+    for a, b, c, d in product((-1, 0, 1), repeat=4)
+    if abs(a * d - b * c) == 1
 )
 
 
@@ -103,7 +97,8 @@ def label_grid(
         )
     target.check_fiducials()
     points = spots.centroids
-    index, on = index_lattice(points, target.pitch[0] / target.pitch[1])
+    lattice = index_lattice(points, target.pitch[0] / target.pitch[1])
+    index, on = lattice.index, lattice.on
     if on.sum() < max(least, len(spots) // 3):
         raise CalibrationError(
             f"only {int(on.sum())} of {len(spots)} spots form a grid; the grid of {target.rows} x {target.columns} "
@@ -112,7 +107,9 @@ def label_grid(
     where = np.flatnonzero(on)
     cell = _right_handed(index[on], points[on])
     if target.fiducials:
-        way, runner_up = _by_fiducials(cell, spots.select(where), target)
+        # spots over the side of their cell: tilt and lens cancel, so that only fiducials stand out
+        size = spots.diameter[on] / lattice.side[on]
+        way, runner_up = _by_fiducials(cell, size / np.nanmedian(size), target, strays=bool(on.sum() < len(spots)))
     else:
         way, runner_up = _by_border(cell, points[on], target, image_size, turned)
     mark = np.full(len(spots), -1, dtype=np.int64)
@@ -129,48 +126,13 @@ def _right_handed(index: Ints, points: Array) -> Ints:
     return index if np.linalg.det(slope) > 0 else index * np.array([1, -1])
 
 
-def _relative_size(cell: Ints, spots: Spots, pitch: tuple[float, float]) -> Array:
-    """Diameters (K,) over the local scale, median 1: tilt and lens cancel, so that only fiducials stand out."""
-    low = cell.min(axis=0) - 1
-    shape = cell.max(axis=0) - low + 2
-    grid = np.full((*shape, 2), np.nan)
-    i, j = (cell - low).T
-    grid[i, j] = spots.centroids
-    step_i = (
-        np.fmin(_length(grid[i + 1, j] - grid[i, j]), np.inf),
-        np.fmin(_length(grid[i, j] - grid[i - 1, j]), np.inf),
-    )
-    step_j = (
-        np.fmin(_length(grid[i, j + 1] - grid[i, j]), np.inf),
-        np.fmin(_length(grid[i, j] - grid[i, j - 1]), np.inf),
-    )
-    del step_i, step_j, pitch
-    size = np.full(tuple(shape), np.nan)
-    size[i, j] = spots.diameter
-    ratio = np.full(len(cell), 1.0)
-    span = [(a, b) for a in range(-2, 3) for b in range(-2, 3) if a or b]
-    around = np.full((len(span), len(cell)), np.nan)
-    for k, (a, b) in enumerate(span):
-        x, y = i + a, j + b
-        inside = (x >= 0) & (y >= 0) & (x < shape[0]) & (y < shape[1])
-        around[k, inside] = size[x[inside], y[inside]]
-    known = np.isfinite(around).any(axis=0)
-    ratio[known] = spots.diameter[known] / np.nanmedian(around[:, known], axis=0)
-    return ratio
-
-
-def _length(steps: Array) -> Array:
-    return np.asarray(np.linalg.norm(steps, axis=-1))
-
-
-def _by_fiducials(cell: Ints, spots: Spots, target: SpotGrid) -> tuple[_Way, int | None]:
-    """The way that the larger spots demand."""
-    size = _relative_size(cell, spots, target.pitch)
+def _by_fiducials(cell: Ints, size: Array, target: SpotGrid, *, strays: bool) -> tuple[_Way, int | None]:
+    """Find the way that the larger spots demand; ``size`` (K,) is relative, 1 for ordinary ones, NaN where unknown."""
     expected = (target.fiducial_diameter or 1.5 * target.diameter) / target.diameter
     large = size > 1.0 + 0.6 * (expected - 1.0) if expected > 1.0 else size < 1.0 - 0.6 * (1.0 - expected)
     plain = size < 1.0 + 0.4 * (expected - 1.0) if expected > 1.0 else size > 1.0 - 0.4 * (1.0 - expected)
     offers = _offers(cell, large, plain, target)
-    best = _choose(offers, len(target.fiducials), len(cell))
+    best = _choose(offers, len(target.fiducials), len(cell), margin=2 if strays else 1)
     if best is not None:
         others = [w.against for w in offers if w is not best]
         return best, min(others, default=None)
@@ -193,7 +155,7 @@ def _by_fiducials(cell: Ints, spots: Spots, target: SpotGrid) -> tuple[_Way, int
         target.fiducial_diameter,
     )
     for other in (flipped, swapped):
-        if _choose(_offers(cell, large, plain, other), len(target.fiducials), len(cell)) is not None:
+        if _choose(_offers(cell, large, plain, other), len(target.fiducials), len(cell), margin=2) is not None:
             raise CalibrationError(
                 f"the image shows a grid of {other.rows} rows and {other.columns} columns, the file says "
                 f"{target.rows} and {target.columns}: rows and columns look swapped in the target"
@@ -218,6 +180,7 @@ def _offers(cell: Ints, large: Bools, plain: Bools, target: SpotGrid) -> _Offer:
         return offers
     for number, way in enumerate(_WAYS):
         laid = cell @ way.T
+        mirrored = bool(way[0, 0] * way[1, 1] < way[0, 1] * way[1, 0])
         for big in bigs @ way.T:
             for fiducial in fiducials:
                 shift = fiducial - big
@@ -230,15 +193,15 @@ def _offers(cell: Ints, large: Bools, plain: Bools, target: SpotGrid) -> _Offer:
                 should = (at[:, None] == fiducials[None]).all(axis=2).any(axis=1)
                 matched = int((should & large).sum())
                 against = int((should & plain).sum() + (~should & large & ~outside).sum() + outside.sum())
-                offers.append(_Way(at, number >= 4, matched, against, int(outside.sum())))
+                offers.append(_Way(at, mirrored, matched, against, int(outside.sum())))
     return offers
 
 
-def _choose(offers: _Offer, fiducials: int, spots: int) -> _Way | None:
+def _choose(offers: _Offer, fiducials: int, spots: int, *, margin: int) -> _Way | None:
     """The one way that is certain, if there is one.
 
     All fiducials seen and next to nothing against it: certain, since their pattern is unlike its images. Otherwise
-    nothing may speak against it, at least two spots must speak against every other, and it must have a fiducial.
+    nothing may speak against it, ``margin`` spots must speak against every other, and it must have two fiducials.
     """
     if not offers:
         return None
@@ -247,7 +210,7 @@ def _choose(offers: _Offer, fiducials: int, spots: int) -> _Way | None:
     if len(complete) == 1 and complete[0].against <= complete[0].outside + 1:
         return complete[0]
     best = ranked[0]
-    if best.against == 0 and (len(ranked) == 1 or ranked[1].against >= 2) and best.matched >= 2:
+    if best.against == 0 and (len(ranked) == 1 or ranked[1].against >= margin) and best.matched >= 2:
         return best
     return None
 
@@ -256,37 +219,40 @@ def _by_border(
     cell: Ints, points: Array, target: SpotGrid, image_size: tuple[int, int], turned: Turned | None
 ) -> tuple[_Way, int | None]:
     """The way that a grid without fiducials lies: all of it in view, (0, 0) at the top left unless ``turned``."""
-    low, high = cell.min(axis=0), cell.max(axis=0)
-    extent = high - low + 1
     wanted = np.array([target.columns, target.rows])
-    found = f"{extent.max()} x {extent.min()}"
-    if sorted(extent) != sorted(wanted):
-        raise CalibrationError(
-            f"found a grid of {found} spots, the target has {target.rows} x {target.columns} and no fiducials: all of "
-            "it must be in view, or it needs fiducials"
-        )
-    middle = cell - (low + high) / 2.0
-    slope = np.linalg.lstsq(np.column_stack([middle, np.ones(len(cell))]), points, rcond=None)[0]
-    ways = []
-    for number, way in enumerate(_WAYS[:4]):
+    found: list[tuple[float, Ints]] = []  # how far from the place where (0, 0) should be, and the cells
+    extents: set[tuple[int, int]] = set()
+    for way in _WAYS:
+        if way[0, 0] * way[1, 1] < way[0, 1] * way[1, 0]:
+            continue  # without fiducials a mirror image cannot be told, and none is assumed
         laid = cell @ way.T
-        first = laid.min(axis=0)
-        x_axis = (np.linalg.inv(way)[:, 0]) @ slope[:2]
-        corner = (np.linalg.inv(way) @ (first - (laid.min(axis=0) + laid.max(axis=0)) / 2.0)) @ slope[:2] + slope[2]
-        angle = np.degrees(np.arctan2(x_axis[1], x_axis[0]))
+        laid = laid - laid.min(axis=0)
+        extent = laid.max(axis=0) + 1
+        extents.add((int(extent[1]), int(extent[0])))
+        middle = (extent - 1) / 2.0
+        slope = np.linalg.lstsq(np.column_stack([laid - middle, np.ones(len(laid))]), points, rcond=None)[0]
         if turned is None:
-            rank = float(np.linalg.norm(corner))
+            rank = float(np.linalg.norm(slope[2] - middle @ slope[:2]))
         else:
-            rank = float(abs((angle - turned + 180.0) % 360.0 - 180.0))
-        ways.append((rank, number, laid - first, laid.max(axis=0) - first + 1))
-    ways.sort(key=lambda item: item[0])
-    scale = 0.05 * float(np.hypot(*image_size)) if turned is None else 10.0
-    if ways[1][0] - ways[0][0] < scale:
+            angle = float(np.degrees(np.arctan2(slope[0, 1], slope[0, 0])))
+            rank = abs((angle - turned + 180.0) % 360.0 - 180.0)
+        if (extent == wanted).all() or (extent == wanted[::-1]).all():
+            found.append((rank, laid))
+    if not found:
+        smallest = min(extents, key=lambda e: e[0] * e[1])
         raise CalibrationError(
-            "two corners of the grid are as near to the image's top left: which is mark (0, 0) cannot be told: "
+            f"found a grid of {smallest[0]} x {smallest[1]} spots, the target has {target.rows} x {target.columns} and "
+            "no fiducials: all of it must be in view, or it needs fiducials"
+        )
+    found.sort(key=lambda item: item[0])
+    close = 0.05 * float(np.hypot(*image_size)) if turned is None else 10.0
+    if len(found) > 1 and found[1][0] - found[0][0] < close:
+        raise CalibrationError(
+            "two corners of the grid are about as near to the image's top left: which is mark (0, 0) cannot be told: "
             "set `turned` on the plane, or use a target with fiducials"
         )
-    _, _, laid, shape = ways[0]
+    laid = found[0][1]
+    shape = laid.max(axis=0) + 1
     if tuple(shape) != tuple(wanted):
         raise CalibrationError(
             f"the image shows {shape[1]} rows and {shape[0]} columns, the file says {target.rows} and "

@@ -34,7 +34,7 @@ class PinholeCamera:
 
     def rays(self, pixels: Array, *, near: Array | float | None = None) -> Rays:  # noqa: ARG002  (one depth is as good as another)
         """Sighting rays in C from the one centre; ``near`` makes no difference."""
-        direction = self._directions(pixels, self.matrix, self.distortion)
+        direction = self.directions(pixels, self.matrix, self.distortion)
         origin = np.broadcast_to(self.c_from_camera.translation, direction.shape)
         return Rays(origin, direction @ self.c_from_camera.rotation.T)
 
@@ -48,18 +48,19 @@ class PinholeCamera:
 
     def sigma_at(self, pixels: Array, points: Array) -> Array:
         """Standard deviation (N,) mm across the ray from the covariance of the intrinsics, by differences."""
-        base = self._directions(pixels, self.matrix, self.distortion)
+        base = self.directions(pixels, self.matrix, self.distortion)
         scale = np.sqrt(np.diag(self.covariance))
         moved = np.zeros((9, *base.shape))
         for k in range(9):
             if scale[k] > 0:
-                moved[k] = (self._directions(pixels, *_perturbed(self, k, scale[k])) - base) / scale[k]
+                moved[k] = (self.directions(pixels, *_perturbed(self, k, scale[k])) - base) / scale[k]
         variance = np.einsum("kni,kl,lni->n", moved, self.covariance, moved) / 2
         distance = np.linalg.norm(points - self.c_from_camera.translation, axis=1)
         return np.asarray(distance * np.sqrt(np.maximum(variance, 0)))
 
     @staticmethod
-    def _directions(pixels: Array, matrix: Array, distortion: Array) -> Array:
+    def directions(pixels: Array, matrix: Array, distortion: Array) -> Array:
+        """Unit directions (N, 3) in the camera's own frame; NaN for NaN pixels."""
         if len(pixels) == 0:
             return np.zeros((0, 3))
         known = np.asarray(np.isfinite(pixels).all(axis=1))
@@ -163,7 +164,13 @@ def _calibrate(views: list[PlaneMarks], size: tuple[int, int], dropped: list[tup
         PlaneMarks(v.name, v.pixels, v.points, pose, v.mark, v.covariance) for v, pose in zip(views, poses, strict=True)
     )
     camera = PinholeCamera(
-        matrix, distortion, Pose.identity(), size, _view_volume(placed), sigma**2 * _intrinsic_inverse(jacobians), sigma
+        matrix,
+        distortion,
+        Pose.identity(),
+        size,
+        _view_volume(placed, matrix, distortion),
+        sigma**2 * _intrinsic_inverse(jacobians),
+        sigma,
     )
     return FreehandFit(camera, placed, tuple(residuals), tuple(dropped))
 
@@ -178,12 +185,22 @@ def _intrinsic_inverse(jacobians: list[Array]) -> Array:
     return np.asarray(np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale))
 
 
-def _view_volume(views: tuple[PlaneMarks, ...]) -> Volume:
-    world = np.concatenate([v.world for v in views])
-    try:
-        return Volume.around(world, np.array([0.0, 0.0, 1.0]))
-    except ValueError:
-        return Volume.everywhere()
+def _view_volume(views: tuple[PlaneMarks, ...], matrix: Array, distortion: Array) -> Volume:
+    """Where a pinhole is trusted: sighted between the marks of any view, from 10 % nearer to 10 % farther than they were.
+
+    A lens model does not explode between and behind its marks as a polynomial does; only outside the part of the image
+    that the marks cover is its distortion a guess.
+    """
+    pixels = np.concatenate([v.pixels for v in views])
+    depth = np.concatenate([v.world[:, 2] for v in views])
+    hull = cv2.convexHull(pixels.astype(np.float32))[:, 0].astype(np.float64)
+    corner = PinholeCamera.directions(hull, matrix, distortion)
+    normals = np.cross(corner, np.roll(corner, -1, axis=0))
+    middle = PinholeCamera.directions(hull.mean(axis=0)[None], matrix, distortion)[0]
+    normals *= -np.sign(normals @ middle)[:, None] / np.linalg.norm(normals, axis=1, keepdims=True)
+    ends = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    offsets = np.array([-depth.min() / 1.1, depth.max() * 1.1])
+    return Volume(np.concatenate([normals, ends]), np.concatenate([np.zeros(len(normals)), offsets]))
 
 
 def _check_tilts(fit: FreehandFit) -> None:

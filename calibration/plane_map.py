@@ -175,13 +175,13 @@ def _fit(marks: PlaneMarks, domain: Domain, terms: Terms) -> PlaneFit:
     freedom = len(marks) - need
     sigma = float(np.sqrt((fit.residuals**2).sum() / (2 * freedom))) if freedom else float("nan")
     plane_map = PlaneMap(marks.name, terms, domain, fit.solution, marks.c_from_plane, fit.inverse, sigma)
-    to_px = np.linalg.inv(plane_map.jacobian(marks.pixels))
+    to_px, alone = np.linalg.inv(plane_map.jacobian(marks.pixels)), fit.left_out()
     return PlaneFit(
         plane_map,
         np.einsum("nij,nj->ni", to_px, fit.residuals),
-        np.einsum("nij,nj->ni", to_px, fit.left_out),
+        np.einsum("nij,nj->ni", to_px, alone),
         fit.residuals,
-        fit.left_out,
+        alone,
     )
 
 

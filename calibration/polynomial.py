@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from calibration.geometry import Array
+from calibration.geometry import Array, Ints
 
 Terms: TypeAlias = Literal["linear", "paper"] | int
 
@@ -110,13 +110,14 @@ class LinearFit:
 
     solution: Array  # (d, k)
     residuals: Array  # (n, k) b - A x, unweighted
-    leverage: Array  # (n,) diagonal of the hat matrix
+    basis: Array  # (n, d) orthonormal columns that span the weighted A
+    root: Array  # (n,) square roots of the weights
     inverse: Array  # (d, d) inverse of A' W A
 
-    @property
-    def left_out(self) -> Array:
-        """Residuals (n, k) of each row predicted from a fit without it: r / (1 - h) (Allen 1974, PRESS)."""
-        return np.asarray(self.residuals / np.maximum(1.0 - self.leverage, 1e-9)[:, None])
+    def left_out(self, groups: Ints | None = None) -> Array:
+        """Residuals (n, k) of each row predicted from a fit without its group (n,); without groups, without itself."""
+        weighted = self.root[:, None] * self.residuals
+        return np.asarray(left_out(self.basis, weighted, groups) / self.root[:, None])
 
 
 def solve(a: Array, b: Array, weights: Array | None = None) -> LinearFit:
@@ -132,7 +133,27 @@ def solve(a: Array, b: Array, weights: Array | None = None) -> LinearFit:
         raise np.linalg.LinAlgError("dependent columns")
     inverse_r = np.linalg.inv(r)
     solution = inverse_r @ (q.T @ (b * root[:, None]))
-    return LinearFit(solution, b - a @ solution, np.einsum("ij,ij->i", q, q), inverse_r @ inverse_r.T)
+    return LinearFit(solution, b - a @ solution, q, root, inverse_r @ inverse_r.T)
+
+
+def left_out(basis: Array, residuals: Array, groups: Ints | None = None) -> Array:
+    """Residuals (n, k) predicted from a fit without the row's group: (I - H_gg)^-1 r_g (Cook & Weisberg 1982, 2.2).
+
+    Without groups every row is its own, and this is r / (1 - h), the residual of PRESS (Allen 1974).
+    """
+    if groups is None:
+        leverage = np.einsum("nd,nd->n", basis, basis)
+        return np.asarray(residuals / np.maximum(1.0 - leverage, 1e-9)[:, None])
+    rank = np.argsort(groups, kind="stable")
+    starts = np.flatnonzero(np.r_[True, np.diff(groups[rank]) != 0])
+    sizes = np.diff(np.r_[starts, len(groups)])
+    result = np.empty_like(residuals)
+    for size in np.unique(sizes):
+        rows = rank[starts[sizes == size][:, None] + np.arange(size)]  # (groups of this size, size)
+        q = basis[rows]
+        kept = np.eye(size) - q @ q.transpose(0, 2, 1) + 1e-9 * np.eye(size)
+        result[rows] = np.linalg.solve(kept, residuals[rows])
+    return result
 
 
 def homography(source: Array, image: Array) -> Array:

@@ -89,7 +89,7 @@ class RayFieldFit:
 
     field: RayField
     residuals: Array  # (n, 2) px, mark minus field
-    left_out: Array  # (n, 2) px, each mark predicted from a fit without it
+    left_out: Array  # (n, 2) px, each mark predicted from a fit without it on any plane
     plane: np.typing.NDArray[np.int64]  # (n,) index of the plane of each row
 
     @property
@@ -145,6 +145,7 @@ class _Problem:
     across: Array  # (n, 2) mm in D
     depth: Array  # (n,) mm in D
     plane: np.typing.NDArray[np.int64]  # (n,)
+    group: np.typing.NDArray[np.int64]  # (n,) the same number for one spot of the target on all planes
     depths: Array  # (planes,)
     c_from_d: Array
 
@@ -155,7 +156,7 @@ class _Problem:
         plane = np.repeat(np.arange(len(planes)), [len(p) for p in planes])
         depths = np.array([world[plane == k, 2].mean() for k in range(len(planes))])
         pixels = np.concatenate([p.pixels for p in planes])
-        return cls(pixels, world[:, :2], world[:, 2], plane, np.sort(depths), c_from_d)
+        return cls(pixels, world[:, :2], world[:, 2], plane, _same_spot(planes), np.sort(depths), c_from_d)
 
     def fit(self, domain: Domain, slope_order: int, origin_order: int) -> RayFieldFit:
         """Fit with given orders, weighted in px, about the depth where the rays come closest together."""
@@ -228,13 +229,14 @@ class _Problem:
             ) from error
         freedom = max(len(rows) - rows.shape[1], 1)
         sigma = float(np.sqrt((weights[:, None] * fit.residuals**2).sum() / (2 * freedom)))
+        sigma *= _repetition(fit.residuals * np.sqrt(weights)[:, None], self.group)
         field = RayField(
             self.c_from_d, domain, slope_order, origin_order, pivot, reach, fit.solution, fit.inverse, sigma, self.depths,
             1.0 if pivot <= self.depths.mean() else -1.0,
         )  # fmt: skip
         to_px = np.linalg.inv(field.jacobian(self.pixels, self.depth))
         residuals = np.einsum("nij,nj->ni", to_px, fit.residuals)
-        left_out = np.einsum("nij,nj->ni", to_px, fit.left_out)
+        left_out = np.einsum("nij,nj->ni", to_px, fit.left_out(self.group))
         return RayFieldFit(field, residuals, left_out, self.plane)
 
 
@@ -248,6 +250,7 @@ class _Lens:
     rows: Array  # (n, 2 dmax), weighted
     across: Array  # (n, 2), weighted
     gram: Array  # (2 dmax, 2 dmax)
+    group: np.typing.NDArray[np.int64]  # (n,)
 
     @classmethod
     def of(cls, problem: _Problem, domain: Domain, start: RayField, order: int) -> _Lens:
@@ -269,7 +272,7 @@ class _Lens:
             pivot = float(np.clip(pivot + step, problem.depths[0] - limit, problem.depths[0] + limit))
             reach = float(np.abs(problem.depths - pivot).max())
         rows = np.hstack([terms * ((problem.depth - pivot) / reach)[:, None], terms])
-        return cls(pivot, reach, weights, rows, across, rows.T @ rows)
+        return cls(pivot, reach, weights, rows, across, rows.T @ rows, problem.group)
 
     def left_out(self, slope_order: int, origin_order: int) -> float:
         """Mean squared left-out residual, px^2; infinite where the marks do not determine these orders."""
@@ -285,10 +288,37 @@ class _Lens:
             return float("inf")
         if np.diag(lower).min() <= 1e-8 * np.diag(lower).max():
             return float("inf")
-        half = np.linalg.solve(lower, a.T)
+        half = np.asarray(np.linalg.solve(lower, a.T))
         residual = self.across - half.T @ (half @ self.across)
-        leverage = np.einsum("dn,dn->n", half, half)
-        return float(((residual / np.maximum(1 - leverage, 1e-6)[:, None]) ** 2).sum(axis=1).mean())
+        alone = polynomial.left_out(half.T, residual, self.group)
+        return float((alone**2).sum(axis=1).mean())
+
+
+def _same_spot(planes: list[PlaneMarks]) -> np.typing.NDArray[np.int64]:
+    """Number (n,) that is the same for one spot of the target on all planes.
+
+    A misplaced spot is misplaced on every plane, so that the other planes would predict its error: what is left out
+    together must be all that shares it.
+    """
+    points = np.concatenate([p.points for p in planes])
+    step = max(1e-6 * float(np.abs(points).max()), 1e-9)
+    return np.asarray(np.unique(np.round(points / step), axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
+
+
+def _repetition(residuals: Array, group: np.typing.NDArray[np.int64]) -> float:
+    """Factor >= 1 on standard errors for residuals (n, 2) that repeat within groups (Moulton 1986).
+
+    With intra-group correlation rho and m members, n observations count as n / (1 + (m - 1) rho).
+    """
+    count = np.bincount(group)
+    members = float((count**2).sum() / count.sum())
+    if members < 1.5:
+        return 1.0
+    total = np.stack([np.bincount(group, residuals[:, k]) for k in range(2)], axis=1)
+    own = float((residuals**2).sum())
+    pairs = float((total**2).sum()) - own  # sum over ordered pairs within groups
+    rho = (pairs / max(float((count * (count - 1)).sum()), 1.0)) / (own / len(residuals))
+    return float(np.sqrt(1.0 + (members - 1.0) * np.clip(rho, 0.0, 1.0)))
 
 
 def _design(square: Array, lever: Array, slope_order: int, origin_order: int) -> Array:

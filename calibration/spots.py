@@ -19,6 +19,11 @@ from calibration.targets import Polarity
 Method = Literal["edge", "paper", "gray", "binary"]
 Rejected: TypeAlias = tuple[float, float, str]  # u, v in px, and why
 
+_MODEL_ERROR = 0.003  # of the contrast: how well the profile of an edge is known
+_FOOT = 0.1  # of the contrast: below it lies stray light about the spots; leaving it out costs 2 % of the precision
+_LEAST_TEXTURE = 0.0125  # of the contrast, one standard deviation: less is taken for noise
+_CUT = 4.0  # standard deviations at which a residual is cut off
+_SAMPLE = 60  # spots that are enough to tell how ragged the outlines are
 _LEAST_PIXELS = 9  # smaller specks are noise and are not even listed
 
 
@@ -260,7 +265,10 @@ def _no_spot(shapes: Array, table: Array, size: tuple[int, ...], min_diameter: f
     mark(shapes[:, kernel.TRIANGLE] > rough, "not round: three corners")
     mark(shapes[:, kernel.SQUARE] > rough, "not round: four corners")
     mark(shapes[:, kernel.SKEW] > rough, "not round: one-sided")
-    mark(shapes[:, kernel.FILL] < 0.85, "not round: hollow or ragged")
+    # a blurred disk has larger moments than a sharp one of its area
+    soft = (2.0 * blur / np.maximum(diameter, 1.0)) ** 2
+    whole = (1.0 + soft) ** 2 / (1.0 + 6.0 * soft + 3.0 * soft**2)
+    mark(shapes[:, kernel.FILL] < 0.85 * whole, "not round: hollow or ragged")
     good = why == ""
     if good.sum() >= 5:
         usual, size_usual = np.median(contrast[good]), np.median(diameter[good])
@@ -277,30 +285,38 @@ def _plateau_noise(shapes: Array, noise: Noise | None, sign: float, *, whole: bo
 
     if noise is not None:
         return noise.variance(sign * shapes[:, [kernel.GROUND, kernel.LEVEL]])
-    floor = 1.0 / 12.0 if whole else 1e-6 * float(np.nanmedian(shapes[:, kernel.LEVEL] ** 2)) if len(shapes) else 1.0
-    out = np.full((len(shapes), 2), max(floor, 1e-12))
+    contrast = shapes[:, kernel.LEVEL] - shapes[:, kernel.GROUND]
+    # no edge is known to better than a few thousandths of its contrast, however quiet the camera
+    out = np.repeat(_MODEL_ERROR**2 * contrast[:, None] ** 2 + (1.0 / 12.0 if whole else 0.0), 2, axis=1)
     for column, source in enumerate((kernel.NOISE_OUT, kernel.NOISE_IN)):
         measured = shapes[np.isfinite(shapes[:, source]), source]
         if len(measured):
-            out[:, column] = max(float(np.median(measured)), out[0, column])
+            out[:, column] = np.maximum(out[:, column], float(np.median(measured)))
+    out[:, 0] += (_typical_spread(shapes[:, kernel.HALO]) * contrast) ** 2
     return out
 
 
 def _fit_edges(
     light: NDArray[np.float32], labels: NDArray[np.int32], chosen: NDArray[np.intp], shapes: Array, variance: Array
 ) -> Array:
-    """Two rounds of the edge fit: the first measures how ragged the outlines are, the second weighs by it."""
+    """Fit the edges, weighted by noise and by how ragged the outlines are, which a first fit of some spots measures."""
     from calibration import spots_kernel as kernel
 
+    # texture of the plateau is no part of the edge: what lies within its spread of the level is cut off
+    spread = _typical_spread(shapes[:, kernel.TEXTURE])
+    high = max(0.6, 1.0 - 4.0 * spread) if spread > _LEAST_TEXTURE else np.inf
     owner = (chosen + 1).astype(np.int32)
-    first = kernel.edges(light, labels, owner, shapes, variance, 0.0, 2, 4.0)
+    some = np.linspace(0, len(shapes) - 1, min(len(shapes), _SAMPLE)).astype(np.intp)
+    first = kernel.edges(light, labels, owner[some], shapes[some], variance[some], 0.0, _FOOT, high, 3, _CUT)
     ragged = first[np.isfinite(first[:, kernel.RAGGED]), kernel.RAGGED]
-    start = shapes.copy()
-    fine = np.isfinite(first[:, kernel.U])
-    start[fine, : kernel.GVV + 1] = first[fine, : kernel.GVV + 1]
-    start[fine, kernel.BLUR] = first[fine, kernel.E_BLUR]
     tau2 = max(0.0, float(np.median(ragged))) if len(ragged) else 0.0
-    return np.asarray(kernel.edges(light, labels, owner, start, variance, tau2, 2, 4.0))
+    return np.asarray(kernel.edges(light, labels, owner, shapes, variance, tau2, _FOOT, high, 5, _CUT))
+
+
+def _typical_spread(correlated: Array) -> float:
+    """One standard deviation of what neighbouring pixels share, median over the spots, as a part of the contrast."""
+    known = correlated[np.isfinite(correlated)]
+    return float(np.sqrt(max(np.median(known), 0.0))) if len(known) else 0.0
 
 
 def _assemble(shapes: Array, fit: Array) -> Spots:
@@ -329,7 +345,9 @@ def _bad_fit(spots: Spots, shapes: Array, fit: Array) -> NDArray[np.str_]:
         return why
     moved = np.linalg.norm(fit[:, :2] - shapes[:, :2], axis=1)
     sigma = np.sqrt(spots.covariance[:, 0, 0] + spots.covariance[:, 1, 1])
-    why[~(moved < 0.5 + 4.0 * sigma)] = "its outline and its grey levels disagree: dirt or a shadow on it"
+    why[~(moved < 0.3 + 0.03 * spots.diameter + 4.0 * sigma)] = (
+        "its outline and its grey levels disagree: dirt or a shadow on it"
+    )
     why[~np.isfinite(fit[:, kernel.U])] = "no edge could be fitted"
     return why
 

@@ -26,7 +26,7 @@ Labels = NDArray[np.int32]
 AREA, TOP, BOTTOM, LEFT, RIGHT, SUM_U, SUM_V, SUM_UU, SUM_UV, SUM_VV = range(10)
 #: Columns of the table of `shapes`, the first eight of which `edges` reads.
 U, V, GUU, GUV, GVV, LEVEL, GROUND, BLUR = range(8)
-NOISE_IN, NOISE_OUT, TRIANGLE, SQUARE, SKEW, CLIPPED, FILL = range(8, 15)
+NOISE_IN, NOISE_OUT, TRIANGLE, SQUARE, SKEW, CLIPPED, FILL, TEXTURE, HALO = range(8, 17)
 #: Columns of the table of `edges`: U to GVV as above, then these.
 E_BLUR, CUU, CUV, CVV, CHI2, COUNT, RAGGED = range(5, 12)
 
@@ -120,8 +120,9 @@ def _components(mask: NDArray[np.uint8], least: int) -> tuple[Labels, Array]:
 
 def _shapes(image: Image32, labels: Labels, table: Array, clip: float) -> Array:
     height, width = image.shape
-    out = np.full((len(table), 15), np.nan)
+    out = np.full((len(table), 17), np.nan)
     inner, outer = np.empty(_BUFFER), np.empty(_BUFFER)
+    beside, around = np.empty(_BUFFER), np.empty(_BUFFER)
     for k in range(len(table)):
         n = table[k, AREA]
         cu, cv = table[k, SUM_U] / n, table[k, SUM_V] / n
@@ -130,7 +131,7 @@ def _shapes(image: Image32, labels: Labels, table: Array, clip: float) -> Array:
         suv = table[k, SUM_UV] / n - cu * cv
         svv = table[k, SUM_VV] / n - cv * cv + 1.0 / 12.0
         blur = 1.0
-        for turn in range(3):
+        for _turn in range(3):
             det = suu * svv - suv * suv
             quu, quv, qvv = svv / det / 4, -suv / det / 4, suu / det / 4
             near, ring = max(2.0, 2.5 * blur), 3.0 * blur
@@ -154,9 +155,11 @@ def _shapes(image: Image32, labels: Labels, table: Array, clip: float) -> Array:
                         top = max(top, image[v, u])
                         if (d < -near or rho2 < 0.1) and n_in < _BUFFER:
                             inner[n_in] = image[v, u]
+                            beside[n_in] = image[v, u + 1] if u + 1 < width else image[v, u]
                             n_in += 1
                     elif ring < d < far and n_out < _BUFFER:
                         outer[n_out] = image[v, u]
+                        around[n_out] = image[v, u + 1] if u + 1 < width else image[v, u]
                         n_out += 1
             if n_out < 6:
                 break
@@ -218,12 +221,14 @@ def _shapes(image: Image32, labels: Labels, table: Array, clip: float) -> Array:
             blur = min(max(blur, 0.3), 0.3 + 0.3 * math.sqrt(s0))
             if n_in >= 4:
                 out[k, NOISE_IN] = np.var(inner[:n_in])
+                out[k, TEXTURE] = np.mean((inner[:n_in] - level) * (beside[:n_in] - level)) / contrast**2
             spread = 4 * (1.4826 * np.median(np.abs(outer[:n_out] - ground)) + 0.5)
             total, count = 0.0, 0
             for i in range(n_out):
                 if abs(outer[i] - ground) < spread:
                     total += (outer[i] - ground) ** 2
                     count += 1
+            out[k, HALO] = np.mean((outer[:n_out] - ground) * (around[:n_out] - ground)) / contrast**2
             if count >= 6:
                 out[k, NOISE_OUT] = total / count
             out[k, U], out[k, V], out[k, GUU], out[k, GUV], out[k, GVV] = cu, cv, 4 * suu, 4 * suv, 4 * svv
@@ -242,18 +247,74 @@ def _shapes(image: Image32, labels: Labels, table: Array, clip: float) -> Array:
     return out
 
 
+def _solve(m: Array, b: Array, inverse: Array) -> bool:
+    """Cholesky solution of the 6x6 normal equations, in place of ``b``, with the leading 2x2 block of the inverse."""
+    n = len(b)
+    for p in range(n):
+        for q in range(p + 1):
+            total = m[p, q]
+            for r in range(q):
+                total -= m[p, r] * m[q, r]
+            if p == q:
+                if not total > 0.0:
+                    return False
+                m[p, p] = math.sqrt(total)
+            else:
+                m[p, q] = total / m[q, q]
+    for column in range(3):
+        x = b if column == 2 else inverse[column]
+        if column < 2:
+            x[:] = 0.0
+            x[column] = 1.0
+        for p in range(n):
+            total = x[p]
+            for r in range(p):
+                total -= m[p, r] * x[r]
+            x[p] = total / m[p, p]
+        for p in range(n - 1, -1, -1):
+            total = x[p]
+            for r in range(p + 1, n):
+                total -= m[r, p] * x[r]
+            x[p] = total / m[p, p]
+    return True
+
+
+_solve = numba.njit(cache=True, error_model="numpy")(_solve)
+
+
+def _dot(a: Array, b: Array, n: int) -> float:
+    total = 0.0
+    for i in range(n):
+        total += a[i] * b[i]
+    return total
+
+
+# sums may be reordered here, which lets them run several at a time
+_dot = numba.njit(cache=True, fastmath=True)(_dot)
+
+
 def _edges(
-    image: Image32, labels: Labels, owner: Labels, spots: Array, noise: Array, ragged: float, turns: int, cut: float
+    image: Image32,
+    labels: Labels,
+    owner: Labels,
+    spots: Array,
+    noise: Array,
+    ragged: float,
+    low: float,
+    high: float,
+    turns: int,
+    cut: float,
 ) -> Array:
     height, width = image.shape
     out = np.full((len(spots), 12), np.nan)
-    m, b, j = np.empty((6, 6)), np.empty(6), np.empty(6)
+    m, step, inverse = np.empty((6, 6)), np.empty(6), np.empty((2, 6))
+    j = np.empty((8, _BUFFER))
     for k in range(len(spots)):
         cu, cv, guu, guv, gvv, level, ground, blur = spots[k, :8]
         contrast = level - ground
         chi2, rough, count = 1.0, 0.0, 0
         good = True
-        for turn in range(turns):
+        for _turn in range(turns):
             det = guu * gvv - guv * guv
             if not (det > 0.0 and guu > 0.0):
                 good = False
@@ -262,9 +323,9 @@ def _edges(
             band = 3.2 * blur + 0.3
             v0, v1 = max(0, int(cv - math.sqrt(gvv) - band)), min(height, int(cv + math.sqrt(gvv) + band) + 2)
             u0, u1 = max(0, int(cu - math.sqrt(guu) - band)), min(width, int(cu + math.sqrt(guu) + band) + 2)
-            m[:] = 0.0
-            b[:] = 0.0
-            total, upper, lower, count = 0.0, 0.0, 0.0, 0
+            if (v1 - v0) * (u1 - u0) > j.shape[1]:
+                j = np.empty((8, 2 * (v1 - v0) * (u1 - u0)))
+            count = 0
             limit = cut * math.sqrt(max(1.0, chi2))
             for v in range(v0, v1):
                 y = v - cv
@@ -274,10 +335,9 @@ def _edges(
                     x = u - cu
                     nu, nv = quu * x + quv * y, quv * x + qvv * y
                     rho2 = nu * x + nv * y
-                    length2 = nu * nu + nv * nv
                     if rho2 < 0.02:
                         continue
-                    rho, slant = math.sqrt(rho2), 1.0 / math.sqrt(length2)
+                    rho, slant = math.sqrt(rho2), 1.0 / math.sqrt(nu * nu + nv * nv)
                     d = (rho2 - rho) * slant
                     if d > band or d < -band:
                         continue
@@ -289,43 +349,51 @@ def _edges(
                     slope = contrast * (_DENSITY[i] + f * (_DENSITY[i + 1] - _DENSITY[i])) / blur
                     pure = noise[k, 0] + inside * (noise[k, 1] - noise[k, 0])
                     weight = 1.0 / math.sqrt(pure + ragged * slope * slope)
-                    residual = image[v, u] - ground - contrast * inside
-                    upper += (min(residual * residual, 9 * limit * limit / (weight * weight)) - pure) * slope * slope
-                    lower += slope * slope * slope * slope
-                    residual *= weight
+                    seen = min(max((image[v, u] - ground) / contrast, low), high)
+                    if inside < low or inside > high:
+                        slope = 0.0
+                        inside = min(max(inside, low), high)
+                    residual = contrast * (seen - inside) * weight
                     slope *= weight
-                    total += min(residual * residual, 9 * limit * limit)
-                    count += 1
-                    residual = min(max(residual, -limit), limit)
                     nu, nv, e = nu * slant, nv * slant, 0.5 * slope / (rho * slant)
-                    j[0], j[1], j[2], j[3], j[4], j[5] = (
-                        slope * nu,
-                        slope * nv,
-                        e * nu * nu,
-                        2 * e * nu * nv,
-                        e * nv * nv,
-                        slope * t,
-                    )
-                    for p in range(6):
-                        b[p] += j[p] * residual
-                        for q in range(p, 6):
-                            m[p, q] += j[p] * j[q]
+                    j[0, count], j[1, count] = slope * nu, slope * nv
+                    j[2, count], j[3, count], j[4, count] = e * nu * nu, 2 * e * nu * nv, e * nv * nv
+                    j[5, count], j[6, count] = slope * t, min(max(residual, -limit), limit)
+                    j[7, count] = pure * weight * weight
+                    count += 1
             if count < 12:
                 good = False
                 break
             for p in range(6):
-                m[p, p] = m[p, p] * (1.0 + 1e-9) + 1e-300
-                for q in range(p):
-                    m[p, q] = m[q, p]
-            step = np.linalg.solve(m, b)
-            chi2, rough = total / max(count - 6, 1), upper / max(lower, 1e-300)
-            damp = min(1.0, 1.0 / (math.sqrt(step[0] ** 2 + step[1] ** 2) + 1e-12))
+                step[p] = _dot(j[p], j[6], count)
+                for q in range(p + 1):
+                    m[p, q] = _dot(j[p], j[q], count)
+                m[p, p] *= 1.0 + 1e-9
+            if not _solve(m, step, inverse):
+                good = False
+                break
+            # what is left after the step, to first order: its size, and its excess where the edge is steep
+            total, upper, lower = 0.0, 0.0, 1e-300
+            for i in range(count):
+                rest = j[6, i]
+                for p in range(6):
+                    rest -= step[p] * j[p, i]
+                slope2 = j[0, i] ** 2 + j[1, i] ** 2
+                total += rest * rest
+                upper += (rest * rest - j[7, i] * (1.0 - 6.0 / count)) * slope2
+                lower += slope2 * slope2
+            chi2, rough = total / max(count - 6, 1), upper / lower
+            length = math.sqrt(step[0] ** 2 + step[1] ** 2)
+            damp = min(1.0, 1.0 / (length + 1e-12))
             cu, cv = cu + damp * step[0], cv + damp * step[1]
             guu, guv, gvv = guu + damp * step[2], guv + damp * step[3], gvv + damp * step[4]
-            blur = min(max(blur + damp * step[5], 0.6 * blur), 1.6 * blur)
+            wider = damp * step[5]
+            blur = min(max(blur + wider, 0.6 * blur), 1.6 * blur)
+            bent = (abs(step[2]) + abs(step[3]) + abs(step[4])) / math.sqrt(guu + gvv)
+            if length < 0.01 * blur and abs(wider) < 0.03 * blur and bent < 0.06 * blur:
+                break
         if not good:
             continue
-        inverse = np.linalg.inv(m)
         out[k, U], out[k, V], out[k, GUU], out[k, GUV], out[k, GVV], out[k, E_BLUR] = cu, cv, guu, guv, gvv, blur
         out[k, CUU], out[k, CUV], out[k, CVV] = inverse[0, 0], inverse[0, 1], inverse[1, 1]
         out[k, CHI2], out[k, COUNT], out[k, RAGGED] = chi2, count, rough

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 Pixels = NDArray[Any]  # (rows, columns) uint8 or uint16
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
+COMB = 256  # px; a row is folded onto so many
 BLOCK = 16  # px; a line across the rows is folded into maxima of this many rows
 FAST = {"contract", "reassoc", "nsz", "arcp"}  # never nnan: NaN is an answer
 
@@ -19,27 +20,21 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}  # never nnan: NaN is an answer
 def compiled(function: Kernel) -> Kernel:
     """Compile without the interpreter lock, keeping the machine code on disk where a folder for it can be written."""
     try:
-        return numba.njit(function, nogil=True, cache=True, fastmath=FAST)  # type: ignore[no-any-return]
+        return numba.njit(function, nogil=True, cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[no-any-return]
     except RuntimeError:  # numba found no folder that it may write to
-        return numba.njit(function, nogil=True, fastmath=FAST)  # type: ignore[no-any-return]
+        return numba.njit(function, nogil=True, fastmath=FAST, error_model="numpy")  # type: ignore[no-any-return]
 
 
 @compiled
-def _highest(line: Pixels) -> int:
-    top = line.dtype.type(0)
-    for j in range(line.size):
-        top = max(top, line[j])
-    return top
-
-
-@compiled
-def peaks_of_rows(image: Pixels, dark: Pixels, has_dark: bool, half: int, order: Pixels, out: Pixels) -> None:
+def peaks_of_rows(image: Pixels, dark: Pixels, has_dark: bool, half: int, out: NDArray[np.int32]) -> None:
     """Where each row is brightest, and how bright it is farther than ``half`` from there.
 
-    ``order`` is 0, 1, 2, ... as uint16, longer than a row; ``out`` (rows, 3) int32 receives place, value, second value.
+    ``out`` (3, rows) receives place, value and second value. A row is folded onto COMB pixels, at the width of the vector
+    unit; the place is then looked for among the few pixels that share the highest tooth.
     """
     rows, columns = image.shape
     lit = np.zeros(columns, image.dtype)
+    comb = np.zeros(COMB, image.dtype)
     for i in range(rows):
         line = image[i]
         if has_dark:
@@ -47,26 +42,46 @@ def peaks_of_rows(image: Pixels, dark: Pixels, has_dark: bool, half: int, order:
             for j in range(columns):
                 lit[j] = max(line[j], off[j]) - off[j]
             line = lit
-        top = _highest(line)
-        at = order[columns]
-        for j in range(columns):
-            hit = order[j] if line[j] == top else at
-            at = min(at, hit)
-        out[i, 0] = at
-        out[i, 1] = top
+        top = _fold(line, comb)
+        tooth = 0
+        while comb[tooth] != top:
+            tooth += 1
+        at = tooth
+        while line[at] != top:
+            at += COMB
+        left, right = max(0, at - half), min(columns, at + half + 1)
         second = line.dtype.type(0)
-        left = np.int64(at) - half
-        right = np.int64(at) + half + 1
         if left > 0:
-            second = _highest(line[:left])
+            second = max(second, _fold(line[:left], comb))
         if right < columns:
-            second = max(second, _highest(line[right:]))
-        out[i, 2] = second
+            second = max(second, _fold(line[right:], comb))
+        out[0, i] = at
+        out[1, i] = top
+        out[2, i] = second
 
 
 @compiled
-def peaks_of_columns(image: Pixels, dark: Pixels, has_dark: bool, half: int, out: Pixels) -> None:
-    """Where each column is brightest, and how bright it is farther than ``half`` from there; as `peaks_of_rows`."""
+def _fold(line: Pixels, comb: Pixels) -> Any:
+    """Maxima of all pixels j, j + COMB, j + 2 COMB ... in ``comb``; returns the highest."""
+    columns = line.size
+    for k in range(COMB):
+        comb[k] = 0
+    for start in range(0, columns, COMB):
+        part = line[start : start + COMB]
+        for k in range(part.size):
+            comb[k] = max(comb[k], part[k])
+    top = line.dtype.type(0)
+    for k in range(COMB):
+        top = max(top, comb[k])
+    return top
+
+
+@compiled
+def peaks_of_columns(image: Pixels, dark: Pixels, has_dark: bool, half: int, out: NDArray[np.int32]) -> None:
+    """Where each column is brightest, and how bright it is farther than ``half`` from there; as `peaks_of_rows`.
+
+    Rows are folded into maxima of BLOCK rows, all columns side by side; only blocks that matter are looked into again.
+    """
     rows, columns = image.shape
     count = (rows + BLOCK - 1) // BLOCK
     tops = np.zeros((count, columns), image.dtype)
@@ -83,38 +98,45 @@ def peaks_of_columns(image: Pixels, dark: Pixels, has_dark: bool, half: int, out
             for j in range(columns):
                 top[j] = max(top[j], line[j])
     best = np.zeros(columns, image.dtype)
+    where = np.zeros(columns, np.uint16)
     for b in range(count):
         top = tops[b]
+        here = np.uint16(b)
         for j in range(columns):
+            where[j] = here if top[j] > best[j] else where[j]
             best[j] = max(best[j], top[j])
+    # The second value: first from blocks clear of the excluded stretch, then from the parts of those that touch it.
+    clear = np.uint16(half // BLOCK + 2)
+    second = np.zeros(columns, image.dtype)
+    zero = image.dtype.type(0)
+    for b in range(count):
+        top = tops[b]
+        here = np.uint16(b)
+        for j in range(columns):
+            far = max(here, where[j]) - min(here, where[j]) >= clear
+            second[j] = max(second[j], top[j] if far else zero)
     for j in range(columns):
-        value = np.int64(best[j])
-        b = 0
-        while tops[b, j] != best[j]:
-            b += 1
-        i = b * BLOCK
-        while lit_at(image, dark, has_dark, i, j) != value:
+        value = np.float32(best[j])
+        block = int(where[j])
+        i = block * BLOCK
+        while light(image, dark, has_dark, i, j) < value:
             i += 1
-        second = np.int64(0)
-        for c in range(count):
-            first, last = c * BLOCK, min((c + 1) * BLOCK, rows) - 1
-            if np.int64(tops[c, j]) <= second or (first >= i - half and last <= i + half):
+        other = np.float32(second[j])
+        for c in range(max(0, block - half // BLOCK - 1), min(count, block + half // BLOCK + 2)):
+            if np.float32(tops[c, j]) <= max(other, np.float32(0.25) * value):
                 continue
-            if last < i - half or first > i + half:
-                second = np.int64(tops[c, j])
-                continue
-            for k in range(first, last + 1):
-                if k < i - half or k > i + half:
-                    second = max(second, lit_at(image, dark, has_dark, k, j))
-        out[j, 0] = i
-        out[j, 1] = value
-        out[j, 2] = second
+            for k in range(c * BLOCK, min((c + 1) * BLOCK, rows)):
+                if abs(k - i) > half:
+                    other = max(other, light(image, dark, has_dark, k, j))
+        out[0, j] = i
+        out[1, j] = np.int32(value)
+        out[2, j] = np.int32(other)
 
 
 @compiled
-def lit_at(image: Pixels, dark: Pixels, has_dark: bool, i: int, j: int) -> int:
-    """The laser's light at one pixel, clamped at 0."""
-    value = np.int64(image[i, j])
+def light(lines: Pixels, dark: Pixels, has_dark: bool, i: int, j: int) -> Any:
+    """Laser light at pixel j of line i: float32, negative where noise has it so."""
+    value = np.float32(lines[i, j])
     if has_dark:
-        value = max(0, value - np.int64(dark[i, j]))
+        value -= np.float32(dark[i, j])
     return value

@@ -1,217 +1,251 @@
 """Maximum likelihood of a Gaussian stripe on each line: position, width, peak and background, shot and read noise.
 
-A pixel of the stripe has the mean m = b + A exp(-(x - p)^2 / 2 s^2) and the variance of photon transfer,
-v = A g / gain + read^2. Fisher scoring (iterated, Gaussian-weighted least squares) solves for p and for (A, s, b), which
-are nearly orthogonal. A clipped pixel tells only that it is above the clipping level: it enters with the score and the
-curvature of the normal tail (a censored likelihood, Tobin 1958). Integration over a pixel adds 1/12 to s^2 and moves
-nothing.
+A pixel of the stripe has the mean m = b + A g, g = exp(-(x - p)^2 / 2 s^2), and the variance of photon transfer,
+v = A g / gain + read^2 + 1/12. Fisher scoring (iterated, Gaussian-weighted least squares) solves for p and for (A, s, b);
+on a symmetric profile the two are orthogonal. A pixel integrates the profile over its width, which adds 1/12 to s^2 and
+moves nothing. A clipped pixel tells only that it lies above the clipping level: it enters with the score and the
+curvature of the normal tail (censored likelihood: Tobin, Econometrica 26, 1958).
+
+Sixteen lines are solved side by side, one in each lane of the vector unit, so that a loop over the pixels of the window
+serves all of them; a lane whose window is shorter masks the rest.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.geometry import Array
 from ranging.kernels import Pixels, compiled
+from ranging.stripe_table import (
+    ASYMMETRY,
+    ASYMMETRY_SIGMA,
+    CLIPPED,
+    CUT,
+    DIVERGED,
+    FLOOR,
+    GOOD,
+    MISFIT,
+    NO_FLANK,
+    NO_PEAK,
+    PEAK,
+    POSITION,
+    ROWS,
+    SIGMA,
+    STATE,
+    WIDTH,
+    Layout,
+)
 
-HALF = 24  # px; the longest half window
-LANES = 2 * HALF + 16  # a multiple of the vector width that holds the longest window
-MASKED = 1e-6  # weight of a pixel that tells nothing
+Single: TypeAlias = Any  # a float32 of the machine
+Lanes: TypeAlias = NDArray[np.float32]
 
-# Columns of the table of results.
-POSITION, SIGMA, WIDTH, PEAK, FLOOR, ASYMMETRY, MISFIT, CLIPPED, STATE = range(9)
-COLUMNS = 9
-# States.
-GOOD, NO_FLANK, CUT, DIVERGED = range(4)
+BATCH = 16  # lines
+NEAR = 8  # px; half window in which the flanks of most stripes are found
+FAR = 24  # px; the longest half window
+WINGS = 3.5  # sigma; half window of the fit, before it is rounded up
+LONGEST = 2 * FAR + 1
+MASKED = 1e-6  # least weight of a clipped pixel
 
 
 @compiled
 def fit_lines(
-    lines: Pixels,
+    pixels: Pixels,
     dark: Pixels,
-    has_dark: bool,
-    place: Pixels,
+    layout: Layout,
+    place: NDArray[np.int32],
     gain_e: float,
     variance: float,
     saturation: float,
-    narrowest: float,
-    widest: float,
-    out: Array,
+    table: Array,
 ) -> None:
-    """Fit every line that has a place (>= 0); ``lines`` is (N, length), ``out`` (N, COLUMNS)."""
-    count, length = lines.shape
-    y = np.zeros(LANES, np.float32)
-    known = np.zeros(LANES, np.float32)
-    for i in range(count):
-        for c in range(COLUMNS):
-            out[i, c] = np.nan
-        if place[i] < 0:
-            continue
-        _fit(
-            lines[i], dark[i] if has_dark else lines[i], has_dark, place[i], length,
-            gain_e, variance, saturation, narrowest, widest, y, known, out[i],
-        )  # fmt: skip
+    """Fit every line that has a place (>= 0).
 
-
-@compiled
-def _value(line: Pixels, off: Pixels, has_dark: bool, j: int) -> float:
-    value = np.float32(line[j])
-    if has_dark:
-        value -= np.float32(off[j])
-    return value
-
-
-@compiled
-def _fit(
-    line: Pixels, off: Pixels, has_dark: bool, at: int, length: int,
-    gain_e: float, variance: float, saturation: float, narrowest: float, widest: float,
-    y: Array, known: Array, out: Array,
-) -> None:  # fmt: skip
-    # 1. Half-maximum crossings give a first position and width.
-    top = _value(line, off, has_dark, at)
-    reach = min(HALF, int(math.ceil(4.0 * widest)))
-    first, last = max(0, at - reach), min(length - 1, at + reach)
-    low_left, low_right = top, top
-    for j in range(first, at):
-        low_left = min(low_left, _value(line, off, has_dark, j))
-    for j in range(at + 1, last + 1):
-        low_right = min(low_right, _value(line, off, has_dark, j))
-    floor = np.float32(0.5) * (low_left + low_right)
-    half = np.float32(0.5) * (top + floor)
-    left = at
-    before = top
-    here = top
-    while left > first and here > half:
-        left -= 1
-        before, here = here, _value(line, off, has_dark, left)
-    if here > half:
-        out[STATE] = CUT if first == 0 else NO_FLANK
-        return
-    cross_left = left + (half - here) / max(before - here, np.float32(1e-3))
-    right = at
-    before = top
-    here = top
-    while right < last and here > half:
-        right += 1
-        before, here = here, _value(line, off, has_dark, right)
-    if here > half:
-        out[STATE] = CUT if last == length - 1 else NO_FLANK
-        return
-    cross_right = right - (half - here) / max(before - here, np.float32(1e-3))
-    s = np.float32(min(max((cross_right - cross_left) / 2.3548, 0.6), widest))
-    middle = 0.5 * (cross_left + cross_right)
-    # 2. The window: three and a half sigma, no more than the image has.
-    centre = int(middle + 0.5)
-    wing = min(HALF, max(4, int(math.ceil(3.5 * s)) + 1))
-    first, last = max(0, centre - wing), min(length - 1, centre + wing)
-    if middle - first < 1.0 * s or last - middle < 1.0 * s:
-        out[STATE] = CUT
-        return
-    n = last - first + 1
-    lanes = min(LANES, (n + 15) // 16 * 16)
-    clipped = 0
-    for k in range(lanes):
-        known[k] = 0.0
-        y[k] = 0.0
-    for k in range(n):
-        y[k] = _value(line, off, has_dark, first + k)
-        known[k] = 1.0
-    for k in range(n):
-        if line[first + k] >= saturation:
-            clipped += 1
-    # 3. Fisher scoring.
-    p = np.float32(middle - first)
-    a = np.float32(top - floor)
-    b = floor
+    ``pixels`` and ``dark`` (empty: none) are flat images of a ``layout``, ``place`` (N,) px, ``variance`` the noise of a
+    dark pixel in grey levels squared; ``table`` (ROWS, N) receives the answers. Where the state is not GOOD they are NaN,
+    but for the peak and floor of what was seen.
+    """
+    count, length = layout[0], layout[1]
+    y = np.zeros((LONGEST, BATCH), np.float32)
+    known = np.zeros((LONGEST, BATCH), np.float32)
+    p = np.zeros(BATCH, np.float32)
+    s = np.zeros(BATCH, np.float32)
+    a = np.zeros(BATCH, np.float32)
+    b = np.zeros(BATCH, np.float32)
+    f = np.zeros((10, BATCH), np.float32)
+    moved = np.zeros(BATCH, np.float32)
+    low_left = np.zeros(BATCH, np.float32)
+    low_right = np.zeros(BATCH, np.float32)
+    half = np.zeros(BATCH, np.float32)
+    centre = np.zeros(BATCH, np.float32)
+    state = np.zeros(BATCH, np.int64)
+    clipped = np.zeros(BATCH, np.int64)
     inverse_gain = np.float32(1.0 / gain_e)
     noise = np.float32(variance)
-    for iteration in range(8 if clipped else 4):
-        if clipped:
-            _impute(line, off, has_dark, first, n, saturation, p, s, a, b, inverse_gain, noise, y, known)
-        inverse = np.float32(1.0) / s
-        f11 = np.float32(0.0)
-        f12 = np.float32(0.0)
-        f13 = np.float32(0.0)
-        f22 = np.float32(0.0)
-        f23 = np.float32(0.0)
-        f33 = np.float32(0.0)
-        t0 = np.float32(0.0)
-        t1 = np.float32(0.0)
-        t2 = np.float32(0.0)
-        t3 = np.float32(0.0)
-        for k in range(lanes):
-            u = (np.float32(k) - p) * inverse
-            uu = min(u * u, np.float32(28.0))
-            g = _bell(uu)
-            w = known[k] / (noise + a * inverse_gain * g)
-            r = y[k] - b - a * g
-            q = g * uu
-            f11 += w * g * g
-            f12 += w * g * q
-            f13 += w * g
-            f22 += w * q * q
-            f23 += w * q
-            f33 += w
-            t0 += w * g * u * r
-            t1 += w * g * r
-            t2 += w * q * r
-            t3 += w * r
-        p += s / a * t0 / f12
-        # Amplitude, width (as A ds / s) and background: Cramer's rule on the symmetric 3 x 3.
-        c11 = f22 * f33 - f23 * f23
-        c12 = f13 * f23 - f12 * f33
-        c13 = f12 * f23 - f13 * f22
-        determinant = f11 * c11 + f12 * c12 + f13 * c13
-        if not determinant > 0.0:
-            out[STATE] = DIVERGED
-            return
-        c22 = f11 * f33 - f13 * f13
-        c23 = f12 * f13 - f11 * f23
-        c33 = f11 * f22 - f12 * f12
-        da = (c11 * t1 + c12 * t2 + c13 * t3) / determinant
-        dw = (c12 * t1 + c22 * t2 + c23 * t3) / determinant
-        db = (c13 * t1 + c23 * t2 + c33 * t3) / determinant
-        ratio = min(max(dw / a, np.float32(-0.4)), np.float32(0.4))
-        s = min(max(s * (np.float32(1.0) + ratio), np.float32(0.35)), np.float32(HALF))
-        a = max(a + da, np.float32(0.2) * a)
-        b += db
-        if not (p > 0.0 and p < n - 1):
-            out[STATE] = DIVERGED
-            return
-    # 4. What is left over: asymmetry (third Hermite term) and misfit.
-    inverse = np.float32(1.0) / s
-    f2 = np.float32(0.0)
-    f4 = np.float32(0.0)
-    f6 = np.float32(0.0)
-    t3 = np.float32(0.0)
-    chi = np.float32(0.0)
-    for k in range(lanes):
-        u = (np.float32(k) - p) * inverse
-        uu = min(u * u, np.float32(28.0))
-        g = _bell(uu)
-        w = known[k] / (noise + a * inverse_gain * g)
-        r = y[k] - b - a * g
-        f2 += w * g * g * uu
-        f4 += w * g * g * uu * uu
-        f6 += w * g * g * uu * uu * uu
-        t3 += w * g * u * uu * r
-        chi += w * r * r
-    skew = f6 - f4 * f4 / f2
-    out[POSITION] = first + p
-    out[SIGMA] = s / (a * math.sqrt(f2))
-    out[WIDTH] = s
-    out[PEAK] = a
-    out[FLOOR] = b
-    out[ASYMMETRY] = t3 / (a * skew)
-    out[MISFIT] = chi / max(1, n - 4)
-    out[CLIPPED] = clipped
-    out[STATE] = GOOD
+    reach = NEAR
+    for start in range(0, count, BATCH):
+        # 1. Windows and first values, from what stands above half of the peak.
+        while True:
+            _gather(pixels, dark, layout, place, start, reach, saturation, y, known, clipped)
+            for m in range(BATCH):
+                low_left[m] = 1e9
+                low_right[m] = 1e9
+                a[m] = y[reach, m]
+            for k in range(reach):
+                for m in range(BATCH):
+                    low_left[m] = min(low_left[m], y[k, m] + np.float32(1e9) * (np.float32(1.0) - known[k, m]))
+            for k in range(reach + 1, 2 * reach + 1):
+                for m in range(BATCH):
+                    low_right[m] = min(low_right[m], y[k, m] + np.float32(1e9) * (np.float32(1.0) - known[k, m]))
+            for m in range(BATCH):
+                b[m] = np.float32(0.5) * (low_left[m] + low_right[m])
+                a[m] = max(a[m] - b[m], np.float32(1e-3))
+                p[m] = 0.0
+                s[m] = 0.0
+            for k in range(2 * reach + 1):
+                for m in range(BATCH):
+                    above = known[k, m] * max(y[k, m] - b[m] - np.float32(0.5) * a[m], np.float32(0.0))
+                    p[m] += np.float32(k) * above
+                    s[m] += above
+            wing = 4
+            for m in range(BATCH):
+                i = start + m
+                p[m] = p[m] / max(s[m], np.float32(1e-6))
+                s[m] = max(s[m] / (np.float32(0.7302) * a[m]), np.float32(0.5))
+                state[m] = GOOD
+                if i >= count or place[i] < 0 or known[reach, m] == 0.0:
+                    state[m] = NO_PEAK
+                else:
+                    middle = place[i] - reach + p[m]
+                    if middle < 1.5 * s[m] or middle > length - 1 - 1.5 * s[m]:
+                        state[m] = CUT
+                    elif s[m] > 0.27 * FAR:
+                        state[m] = NO_FLANK
+                if state[m] == GOOD:
+                    wing = max(wing, int(WINGS * s[m]) + 2)
+            wing = min(wing, FAR)
+            if wing <= reach:
+                break
+            reach = wing
+        any_clipped = False
+        for m in range(BATCH):
+            if state[m] != GOOD:  # a lane that does nothing
+                clipped[m] = 0
+                p[m], s[m] = reach, 1.5
+            any_clipped = any_clipped or clipped[m] > 0
+            half[m] = np.float32(int(WINGS * s[m]) + 2)
+            centre[m] = np.float32(int(p[m] + 0.5))
+        for k in range(2 * reach + 1):
+            for m in range(BATCH):
+                inside = abs(np.float32(k) - centre[m]) <= half[m]
+                known[k, m] = known[k, m] if inside else np.float32(0.0)
+        begin, end = reach - wing, reach + wing + 1
+        # 2. Fisher scoring.
+        for _ in range(25 if any_clipped else 5):
+            if any_clipped:
+                for m in range(BATCH):
+                    if clipped[m]:
+                        _impute(
+                            pixels, dark, layout, start + m, place[start + m] - reach, begin, end, saturation,
+                            p[m], s[m], a[m], b[m], inverse_gain, noise, y, known, m,
+                        )  # fmt: skip
+            for t in range(10):
+                for m in range(BATCH):
+                    f[t, m] = 0.0
+            for k in range(begin, end):
+                for m in range(BATCH):
+                    u = (np.float32(k) - p[m]) / s[m]
+                    uu = min(u * u, np.float32(28.0))
+                    g = bell(uu)
+                    q = g * uu
+                    w = known[k, m] / (noise + a[m] * inverse_gain * g)
+                    wr = w * (y[k, m] - b[m] - a[m] * g)
+                    f[0, m] += w * g * g
+                    f[1, m] += w * g * q
+                    f[2, m] += w * g
+                    f[3, m] += w * q * q
+                    f[4, m] += w * q
+                    f[5, m] += w
+                    f[6, m] += wr * g * u
+                    f[7, m] += wr * g
+                    f[8, m] += wr * q
+                    f[9, m] += wr
+            for m in range(BATCH):
+                # Amplitude, width (as A ds / s) and background: Cramer's rule on the symmetric 3 x 3.
+                c11 = f[3, m] * f[5, m] - f[4, m] * f[4, m]
+                c12 = f[2, m] * f[4, m] - f[1, m] * f[5, m]
+                c13 = f[1, m] * f[4, m] - f[2, m] * f[3, m]
+                c22 = f[0, m] * f[5, m] - f[2, m] * f[2, m]
+                c23 = f[1, m] * f[2, m] - f[0, m] * f[4, m]
+                c33 = f[0, m] * f[3, m] - f[1, m] * f[1, m]
+                scale = np.float32(1.0) / (f[0, m] * c11 + f[1, m] * c12 + f[2, m] * c13)
+                da = (c11 * f[7, m] + c12 * f[8, m] + c13 * f[9, m]) * scale
+                dw = (c12 * f[7, m] + c22 * f[8, m] + c23 * f[9, m]) * scale / a[m]
+                db = (c13 * f[7, m] + c23 * f[8, m] + c33 * f[9, m]) * scale
+                dp = f[6, m] / (a[m] * f[1, m])  # in units of s
+                dp = min(max(dp, np.float32(-1.0)), np.float32(1.0))
+                dw = min(max(dw, np.float32(-0.4)), np.float32(0.4))
+                moved[m] = (
+                    max(abs(dp), np.float32(0.2) * max(abs(dw), abs(da) / a[m]))
+                    if state[m] == GOOD
+                    else np.float32(0.0)
+                )
+                p[m] += s[m] * dp
+                s[m] = min(max(s[m] * (np.float32(1.0) + dw), np.float32(0.3)), np.float32(FAR))
+                a[m] = max(a[m] + da, np.float32(0.2) * a[m]) if state[m] == GOOD else a[m]
+                b[m] = b[m] + db if state[m] == GOOD else b[m]
+            most = np.float32(0.0)
+            for m in range(BATCH):
+                most = max(most, moved[m])
+            if most < 0.004:  # of sigma: the next step would be its square
+                break
+        # 3. What is left over: Fisher information of p, third Hermite term, chi squared.
+        for t in range(6):
+            for m in range(BATCH):
+                f[t, m] = 0.0
+        for k in range(begin, end):
+            for m in range(BATCH):
+                u = (np.float32(k) - p[m]) / s[m]
+                uu = min(u * u, np.float32(28.0))
+                g = bell(uu)
+                w = known[k, m] / (noise + a[m] * inverse_gain * g)
+                r = y[k, m] - b[m] - a[m] * g
+                q = w * g * g * uu
+                f[0, m] += q
+                f[1, m] += q * uu
+                f[2, m] += q * uu * uu
+                f[3, m] += w * g * u * uu * r
+                f[4, m] += w * r * r
+                f[5, m] += known[k, m]
+        for m in range(BATCH):
+            i = start + m
+            if i >= count:
+                continue
+            for t in range(ROWS):
+                table[t, i] = np.nan
+            table[STATE, i] = state[m]
+            table[PEAK, i] = a[m]
+            table[FLOOR, i] = b[m]
+            if state[m] != GOOD:
+                continue
+            if not (abs(p[m] - centre[m]) < half[m] and f[0, m] > 0.0):
+                table[STATE, i] = DIVERGED
+                continue
+            table[POSITION, i] = place[i] - reach + p[m]
+            table[SIGMA, i] = s[m] / (a[m] * math.sqrt(f[0, m]))
+            table[WIDTH, i] = s[m]
+            odd = f[2, m] - f[1, m] * f[1, m] / f[0, m]
+            table[ASYMMETRY, i] = f[3, m] / (a[m] * odd)
+            table[ASYMMETRY_SIGMA, i] = 1.0 / (a[m] * math.sqrt(odd))
+            table[MISFIT, i] = f[4, m] / max(np.float32(1.0), f[5, m] - np.float32(4.0))
+            table[CLIPPED, i] = clipped[m]
 
 
 @compiled
-def _bell(uu: float) -> float:
+def bell(uu: Single) -> Single:
     """exp(-uu / 2) for uu < 28: a polynomial of degree 4 in a sixteenth of it, squared four times; vectorises."""
     t = uu * np.float32(-1.0 / 32.0)
     e = np.float32(1.0) + t * (
@@ -224,25 +258,56 @@ def _bell(uu: float) -> float:
 
 
 @compiled
+def _gather(
+    pixels: Pixels, dark: Pixels, layout: Layout, place: NDArray[np.int32], start: int, reach: int, saturation: float,
+    y: Lanes, known: Lanes, clipped: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Pixels of sixteen lines within ``reach`` of their places; ``known`` is 0 where there are none."""
+    count, length, line_step, pixel_step = layout
+    has_dark = dark.size > 0
+    for k in range(2 * reach + 1):
+        for m in range(BATCH):
+            y[k, m] = 0.0
+            known[k, m] = 0.0
+    for m in range(BATCH):
+        clipped[m] = 0
+        i = start + m
+        if i >= count or place[i] < 0:
+            continue
+        offset = place[i] - reach
+        over = 0
+        for k in range(max(0, -offset), min(2 * reach + 1, length - offset)):
+            at = i * line_step + (offset + k) * pixel_step
+            value = np.float32(pixels[at])
+            over += 1 if value >= saturation else 0
+            if has_dark:
+                value -= np.float32(dark[at])
+            y[k, m] = value
+            known[k, m] = 1.0
+        clipped[m] = over
+
+
+@compiled
 def _impute(
-    line: Pixels, off: Pixels, has_dark: bool, first: int, n: int, saturation: float,
-    p: float, s: float, a: float, b: float, inverse_gain: float, noise: float, y: Array, known: Array,
+    pixels: Pixels, dark: Pixels, layout: Layout, i: int, offset: int, begin: int, end: int, saturation: float,
+    p: Single, s: Single, a: Single, b: Single, inverse_gain: Single, noise: Single, y: Lanes, known: Lanes, m: int,
 ) -> None:  # fmt: skip
     """Give clipped pixels the value and the weight with which least squares has the censored score and curvature."""
-    for k in range(n):
-        if line[first + k] < saturation:
+    for k in range(begin, end):
+        at = i * layout[2] + (offset + k) * layout[3]
+        if known[k, m] == 0.0 or pixels[at] < saturation:
             continue
         u = (k - p) / s
         g = math.exp(-0.5 * u * u)
         deviation = math.sqrt(noise + a * inverse_gain * g)
-        level = np.float32(saturation) - 0.5
-        if has_dark:
-            level -= np.float32(off[first + k])
+        level = saturation - 0.5
+        if dark.size > 0:
+            level -= dark[at]
         z = (level - b - a * g) / deviation
         if z > 6.0:
             hazard = z + 1.0 / z
         else:
             hazard = math.exp(-0.5 * z * z) * 0.7978845608028654 / max(math.erfc(z * 0.7071067811865476), 1e-30)
         weight = min(max(hazard * (hazard - z), MASKED), 1.0)
-        known[k] = weight
-        y[k] = b + a * g + min(hazard * deviation / weight, 4.0 * deviation)
+        known[k, m] = weight
+        y[k, m] = b + a * g + min(hazard * deviation / weight, 4.0 * deviation)

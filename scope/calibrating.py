@@ -37,7 +37,12 @@ class Calibration:
     two_plane: TwoPlaneFit | None
     freehand: FreehandFit | None
     views: tuple[LaserView, ...]
-    result: dict[str, Any]  # what --json gives
+    verdict: Verdict
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """What --json gives."""
+        return self.verdict.content
 
 
 def _no_tick(_done: int, _total: int) -> None:
@@ -112,7 +117,7 @@ def _finish_jig(
     planes = [
         (s.plan, placed[s.plan.name] if s.plan.name in placed else locate_target(fit.camera, s.marks)) for s in seen
     ]
-    lasers, views = find_lasers(plan, fit.camera, planes)
+    lasers, views = find_lasers(plan, fit.camera, planes, curved=None)
     stages = find_stages(plan, fit.camera)
     verdict = judge_jig(plan, seen, fit, lasers)
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, fit, None)
@@ -125,7 +130,7 @@ def _finish_freehand(plan: CalibrationPlan, seen: list[SeenPlane], size: tuple[i
         raise CalibrationError(f"{plan.path}: {error}") from error
     placed = {view.name: view for view in fit.views}
     planes = [(s.plan, placed[s.plan.name]) for s in seen if s.plan.name in placed]
-    lasers, views = find_lasers(plan, fit.camera, planes)
+    lasers, views = find_lasers(plan, fit.camera, planes, curved=False)
     stages = find_stages(plan, fit.camera)
     verdict = judge_freehand(plan, seen, fit, lasers)
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, None, fit)
@@ -147,7 +152,7 @@ def _calibration(
         software=f"scope {__version__}",
         inputs={_relative(path, folder): sha256_of(path) for path in plan.files},
     )
-    return Calibration(rig, plan, tuple(seen), two_plane, freehand, views, verdict.content)
+    return Calibration(rig, plan, tuple(seen), two_plane, freehand, views, verdict)
 
 
 def _relative(path: Path, folder: Path) -> str:

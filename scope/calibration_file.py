@@ -217,7 +217,7 @@ def read_calibration(path: Path) -> CalibrationPlan:
             raise FileError(f"{path}: two planes are called {plane.name!r}; give each a name of its own")
         seen.add(plane.name)
     stages = tuple(_stage(path, section, mm) for section in raw.stage)
-    limits = {key: value * (mm if key.endswith("_mm") else 1.0) for key, value in raw.accept if value is not None}
+    limits = {key: value for key, value in raw.accept if value is not None}  # their names say their units
     try:
         target = _target(raw.target, mm)
     except CalibrationError as error:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration import polynomial
 from calibration.errors import CalibrationError
 from calibration.geometry import Array, Pose
-from calibration.plane_map import PlaneMarks
+from calibration.plane_map import PlaneMarks, fit_plane_map
 from calibration.targets import Charuco, Chessboard, SpotGrid
 from scope.calibration_file import CalibrationPlan, ListedMarks, PlanePlan
 from scope.images import Image, mean_gray, read_alike
@@ -33,6 +34,7 @@ class SeenPlane:
     repeat_px: float  # rms movement of a mark between repeats, over what noise explains; NaN for a single image
     repeat_noise_px: float  # what noise explains
     mirrored: bool
+    eccentricity_px: float  # largest shift of a circle's centroid by perspective and lens, which was corrected
     image: Image  # the mean, for pictures
     size: tuple[int, int]
 
@@ -70,11 +72,12 @@ def see_plane(plan: CalibrationPlan, plane: PlanePlan) -> SeenPlane:
         raise CalibrationError(f"{plan.path}: plane {plane.name}: {error}") from error
     points, pose, expected = _positions(plan, plane, found.mark)
     marks = PlaneMarks(plane.name, found.pixels, points, pose, found.mark, found.covariance)
+    marks, shift = _centred(marks, _radii(plan, marks, found))
     repeat, noise = _repeats(plan, plane, images, found)
     return SeenPlane(
         plane, marks, found.found, expected, found.rejected, _median(found.diameter), _median(found.contrast),
         _median(found.blur), 0.0 if found.saturated is None else float((found.saturated > 0.1).mean()), repeat, noise,
-        found.mirrored, mean, (width, height),
+        found.mirrored, shift, mean, (width, height),
     )  # fmt: skip
 
 
@@ -169,6 +172,33 @@ def _flatten(points: Array, pose: Pose, name: str, plan: CalibrationPlan) -> tup
     x /= np.linalg.norm(x)
     frame = Pose(np.column_stack([x, np.cross(normal, x), normal]), normal * float(normal @ points.mean(axis=0)))
     return frame.inverse.apply(points)[:, :2], pose @ frame
+
+
+def _radii(plan: CalibrationPlan, marks: PlaneMarks, found: _Found) -> Array | None:
+    """Radii (n,) mm of round marks: of the target where it is a grid of spots, else as measured; None for corners."""
+    target = plan.target
+    if isinstance(target, SpotGrid):
+        radii = np.full(len(marks), target.diameter / 2)
+        large = [row * target.columns + column for row, column in target.fiducials]
+        radii[np.isin(marks.mark, large)] = (target.fiducial_diameter or target.diameter) / 2
+        return radii
+    return None if found.diameter is None else _measured_radii(marks, found.diameter)
+
+
+def _measured_radii(marks: PlaneMarks, diameter: Array) -> Array:
+    scale = np.sqrt(np.abs(np.linalg.det(polynomial.homography(marks.points, marks.pixels)[:2, :2])))
+    return np.asarray(diameter / (2 * max(float(scale), 1e-12)))
+
+
+def _centred(marks: PlaneMarks, radii: Array | None) -> tuple[PlaneMarks, float]:
+    """Marks at the images of the circles' centres, which perspective and lens part from the centroids."""
+    if radii is None or len(marks) < 12:
+        return marks, 0.0
+    from calibration.spots_eccentricity import eccentricity_of_map
+
+    shift = eccentricity_of_map(fit_plane_map(marks, tilted=True).map.plane_points, marks.pixels, radii)
+    shift = np.where(np.isfinite(shift), shift, 0.0)
+    return replace(marks, pixels=marks.pixels - shift), float(np.linalg.norm(shift, axis=1).max())
 
 
 def _repeats(plan: CalibrationPlan, plane: PlanePlan, images: list[Image], found: _Found) -> tuple[float, float]:

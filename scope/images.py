@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -108,28 +108,3 @@ def mean_image(images: Sequence[Image]) -> Image:
     if images[0].dtype == np.uint8:
         return np.asarray(np.rint(mean * 257.0), dtype=np.uint16)
     return np.asarray(np.rint(mean), dtype=np.uint16)
-
-
-def paths_in_order(paths: Sequence[Path], *, ahead: int = 4, threads: int = 2) -> Iterator[tuple[Path, Image]]:
-    """Images of files in order, decoded ahead in threads; at most ``ahead`` images are held.
-
-    Errors come out where the image would have.
-    """
-    from collections import deque
-    from concurrent.futures import Future, ThreadPoolExecutor
-
-    with ThreadPoolExecutor(max_workers=threads) as pool:
-        waiting: deque[tuple[Path, Future[Image]]] = deque()
-        source = iter(paths)
-        try:
-            for path in source:
-                waiting.append((path, pool.submit(read_image, path)))
-                if len(waiting) >= ahead:
-                    first, future = waiting.popleft()
-                    yield first, future.result()
-            while waiting:
-                first, future = waiting.popleft()
-                yield first, future.result()
-        finally:
-            for _, future in waiting:
-                future.cancel()

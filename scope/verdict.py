@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from calibration.analysis import Interplane, interplane
+from calibration.held_out import HeldOut, held_out
 from calibration.laser import Laser
 from calibration.pinhole import FreehandFit
 from calibration.plane_map import rms
@@ -16,6 +18,10 @@ from scope.calibration_file import CalibrationPlan
 from scope.find_marks import SeenPlane
 
 NAN = float("nan")
+ADVICE = (
+    "an error that is affine (all stand-offs or the pitch wrong by one factor) is invisible to planes: check a known "
+    "artefact with scope check"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,21 +30,42 @@ class Verdict:
 
     verification: Verification
     content: dict[str, Any]
+    interplane: Interplane | None = None
+    held_out: tuple[HeldOut, ...] = ()
 
 
 def judge_jig(plan: CalibrationPlan, seen: list[SeenPlane], fit: TwoPlaneFit, lasers: dict[str, Laser]) -> Verdict:
-    """Judge a calibration on known stand-offs."""
+    """Judge a calibration on known stand-offs: faults, held-out planes, and the limits of [accept]."""
+    held = held_out(fit, model=fit.camera.model)
+    agreement = interplane(fit.camera)
+    of_plane = {h.name: h for h in held}
     rows = []
     for s in seen:
         k = next((i for i, m in enumerate(fit.marks) if m.name == s.plan.name), None)
         if k is None:
             rows.append(_row(s))
             continue
+        plane = fit.planes[k]
+        out = of_plane.get(s.plan.name)
         rows.append(
-            _row(s, used=len(fit.marks[k]), fit_px=fit.planes[k].fit_px, fit_px_mean=fit.planes[k].fit_px_mean,
-                 loo_px=fit.planes[k].loo_px, loo_mm=fit.planes[k].loo_mm)
-        )  # fmt: skip
-    return _verdict(plan, rows, lasers, NAN, ())
+            _row(
+                s,
+                used=len(fit.marks[k]),
+                fit_px=plane.fit_px,
+                fit_px_mean=plane.fit_px_mean,
+                loo_px=plane.loo_px,
+                loo_mm=plane.loo_mm,
+                heldout_mm=NAN if out is None else out.rms_mm,
+            )
+        )
+    faults = _moved(seen)
+    between = [h.rms_mm for h in held if h.between]
+    ray_mm = float(np.sqrt(np.mean(np.square(between)))) if between else NAN
+    content = {"ray_mm": ray_mm, "order": fit.planes[0].map.terms, "model": fit.camera.model}
+    verdict = _verdict(
+        plan, seen, rows, lasers, agreement.interplane_px, faults, ray_mm, content, planes=len(fit.marks)
+    )
+    return Verdict(verdict.verification, verdict.content, agreement, held)
 
 
 def judge_freehand(plan: CalibrationPlan, seen: list[SeenPlane], fit: FreehandFit, lasers: dict[str, Laser]) -> Verdict:
@@ -47,7 +74,12 @@ def judge_freehand(plan: CalibrationPlan, seen: list[SeenPlane], fit: FreehandFi
     for s in seen:
         k = next((i for i, m in enumerate(fit.views) if m.name == s.plan.name), None)
         rows.append(_row(s) if k is None else _row(s, used=len(fit.views[k]), fit_px=rms(fit.residuals[k])))
-    return _verdict(plan, rows, lasers, NAN, ())
+    content = {
+        "model": "pinhole",
+        "fit_px": fit.fit_px,
+        "dropped": [{"name": name, "reason": reason} for name, reason in fit.dropped],
+    }
+    return _verdict(plan, seen, rows, lasers, NAN, _moved(seen), NAN, content, planes=0)
 
 
 def _row(seen: SeenPlane, **figures: float) -> dict[str, Any]:
@@ -60,24 +92,100 @@ def _row(seen: SeenPlane, **figures: float) -> dict[str, Any]:
     }
 
 
+def _moved(seen: list[SeenPlane]) -> list[dict[str, Any]]:
+    """Return a fault ``moved`` for every plane whose marks shift between repeats by more than their noise explains."""
+    faults = []
+    for s in seen:
+        if s.repeat_px > 0.01 + 6 * np.nan_to_num(s.repeat_noise_px):
+            faults.append(
+                {
+                    "plane": s.plan.name,
+                    "kind": "moved",
+                    "value": s.repeat_px,
+                    "standard_error": s.repeat_noise_px,
+                    "unit": "px",
+                    "or": [],
+                    "remedy": "target or camera moved between the repeats: fix both and take the images of this plane again",
+                }
+            )
+    return faults
+
+
 def _verdict(
     plan: CalibrationPlan,
+    seen: list[SeenPlane],
     rows: list[dict[str, Any]],
     lasers: dict[str, Laser],
-    interplane: float,
-    faults: tuple[dict[str, Any], ...],
+    interplane_px: float,
+    faults: list[dict[str, Any]],
+    ray_mm: float,
+    content: dict[str, Any],
+    *,
+    planes: int,
 ) -> Verdict:
-    why = "only self-consistency was tested"
-    passed = not faults
+    failed = [describe_fault(fault) for fault in faults]
+    failed += _beyond(plan, seen, lasers, ray_mm)
+    passed = not failed
+    why = "; ".join(failed) if failed else _praise(plan, planes)
     content = {
-        "planes": rows,
-        "interplane_px": interplane,
-        "faults": list(faults),
-        "lasers": {name: laser_content(laser) for name, laser in lasers.items()},
         "passed": passed,
         "why": why,
+        "planes": rows,
+        "interplane_px": interplane_px,
+        "faults": faults,
+        "lasers": {name: laser_content(laser) for name, laser in lasers.items()},
+        **content,
     }
-    return Verdict(Verification(passed, why, faults, tuple(rows), interplane), content)
+    return Verdict(Verification(passed, why, tuple(faults), tuple(rows), interplane_px), content)
+
+
+def describe_fault(fault: dict[str, Any]) -> str:
+    """One fault in one clause: plane, kind, size, remedy."""
+    size = f"{fault['value']:.3g}"
+    if fault["standard_error"] is not None and np.isfinite(fault["standard_error"]):
+        size += f" +- {fault['standard_error']:.1g}"
+    other = f" (or: {', '.join(fault['or'])})" if fault["or"] else ""
+    return f"plane {fault['plane']}: {fault['kind'].replace('_', '-')} {size} {fault['unit']}{other}: {fault['remedy']}"
+
+
+def _beyond(plan: CalibrationPlan, seen: list[SeenPlane], lasers: dict[str, Laser], ray_mm: float) -> list[str]:
+    """Limits of [accept] that do not hold, or could not be tested."""
+    failed = []
+    limit = plan.accept.get("ray_mm")
+    if limit is not None and not np.isfinite(ray_mm):
+        failed.append(
+            "accept.ray_mm cannot be tested: held-out rays need three planes with an origin or more; add a plane"
+        )
+    elif limit is not None and ray_mm > limit:
+        failed.append(
+            f"held-out rays are off by {ray_mm:.4f} mm rms, {limit:g} allowed: add spots or planes, or a higher --order"
+        )
+    limit = plan.accept.get("laser_mm")
+    if limit is not None and not lasers:
+        failed.append("accept.laser_mm cannot be tested: no plane has a laser image; add `laser` to the planes")
+    for name, laser in lasers.items():
+        if limit is not None and not laser.rms_mm <= limit:
+            failed.append(
+                f"laser {name}: its points lie {laser.rms_mm:.4f} mm rms off the sheet, {limit:g} allowed: check exposure, "
+                "background and that nothing moved"
+            )
+    limit = plan.accept.get("repeat_px")
+    for s in seen:
+        if limit is not None and s.repeat_px > limit:
+            failed.append(f"plane {s.plan.name}: marks move by {s.repeat_px:.3f} px between repeats, {limit:g} allowed")
+    return failed
+
+
+def _praise(plan: CalibrationPlan, planes: int) -> str:
+    limits = ", ".join(f"{key} {value:g}" for key, value in plan.accept.items())
+    tested = (
+        f"no faults, and within {limits}"
+        if limits
+        else "no faults; no [accept] limits were given, so only self-consistency was tested"
+    )
+    if planes == 2:
+        tested += "; two planes have no redundancy: a misplaced plane would not show, so a third is advised"
+    return f"{tested}; {ADVICE}"
 
 
 def laser_content(laser: Laser) -> dict[str, Any]:
@@ -91,6 +199,8 @@ def laser_content(laser: Laser) -> dict[str, Any]:
         "n": laser.n,
         "flatness_mm": laser.flatness_mm,
         "flatness_sigma_mm": laser.flatness_sigma,
-        "sigma_normal_deg": float(np.rad2deg(np.sqrt(np.trace(laser.covariance[:2, :2])) / laser.frame.reach)),
+        "curved": len(laser.covariance) == 6,
+        "along": laser.along,
+        "channel": laser.channel,
         "planes": [{"name": p.plane, "n": p.n, "rms_mm": p.rms_mm, "loo_mm": p.loo_mm} for p in laser.planes],
     }

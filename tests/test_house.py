@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import importlib.util
 import json
 import os
@@ -43,6 +44,19 @@ for words in ([], *([name] for name in commands)):
         except SystemExit as stop:
             assert stop.code == 0, (words, stop.code)
     assert "--help" in page.getvalue(), words
+"""
+# Clouds to every format that needs no optional package, and back.
+EXPORT = """
+import sys, tempfile
+from pathlib import Path
+import numpy as np
+import scope
+points = np.arange(12.0).reshape(4, 3)
+with tempfile.TemporaryDirectory() as folder:
+    for ending in ("ply", "pcd", "xyz"):
+        scope.ScanCloud.from_points(points).save(Path(folder) / f"cloud.{ending}")
+        assert (Path(folder) / f"cloud.{ending}").stat().st_size > 0
+    assert np.array_equal(scope.ScanCloud.load(Path(folder) / "cloud.ply").points, points)
 """
 REPORT = "\nimport json, sys\nprint(json.dumps(sorted(sys.modules)))\n"
 
@@ -155,7 +169,7 @@ def test_nothing_heavy_is_loaded_before_it_is_used(code: str) -> None:
 
 
 def test_the_library_loads_only_what_its_names_need() -> None:
-    modules = modules_after("import scope\nscope.Plane, scope.ScanCloud, scope.ScopeError")
+    modules = modules_after(EXPORT)
     assert "calibration.geometry" in modules  # the names were loaded
     assert sorted(modules & {"open3d", "trimesh", "scipy.spatial"}) == []
 
@@ -178,7 +192,9 @@ def test_the_stub_hides_open3d(without_open3d: Path) -> None:
     assert "No module named open3d" in done.stderr or "libusb" in done.stderr
 
 
-@pytest.mark.parametrize("code", [IMPORT_ALL, ALL_HELP], ids=["every public name", "scope --help"])
+@pytest.mark.parametrize(
+    "code", [IMPORT_ALL, ALL_HELP, EXPORT], ids=["every public name", "scope --help", "clouds to files"]
+)
 def test_works_without_open3d(code: str, without_open3d: Path) -> None:
     done = run(code, without_open3d)
     assert done.returncode == 0, done.stderr
@@ -219,3 +235,36 @@ def test_links_between_the_papers_lead_somewhere() -> None:
     ]
     assert len(links) > 5
     assert [f"{paper.name} -> {target}" for paper, target in links if not (paper.parent / target).exists()] == []
+
+
+# --- the documentation of files and the code that reads them ----------------------------------------------------
+
+FORMATS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+
+
+def chapter(title: str) -> str:
+    return FORMATS.split(f"\n## {title}\n")[1].split("\n## ")[0]
+
+
+def examples(title: str) -> list[str]:
+    return re.findall(r"```toml\n(.*?)```", chapter(title), re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    ("title", "module", "model"),
+    [
+        ("calibration.toml", "scope.calibration_file", "CalibrationSection"),
+        ("capture.toml", "scope.capture", "CaptureSection"),
+    ],
+)
+def test_documented_examples_are_valid_and_every_key_is_documented(title: str, module: str, model: str) -> None:
+    reader = importlib.import_module(module)
+    section = getattr(reader, model)
+    (example,) = examples(title)
+    section.model_validate(tomllib.loads(example))
+    with pytest.raises(ValueError, match="unknown"):
+        section.model_validate(tomllib.loads("unknown = 1\n" + example))
+    sections = [value for name, value in vars(reader).items() if name.endswith("Section") and name != "Section"]
+    keys = {key for each in sections for key in each.model_fields}
+    assert {"format", "units"} < keys
+    assert sorted(key for key in keys if not re.search(rf"\b{key}\b", chapter(title))) == []
