@@ -187,7 +187,9 @@ def _of_marks(state: _State, basis: RayField) -> list[Fault]:
             trial[k] = placement.put_right(basis, state.stated[k].select(back), state.amounts[k])
             test = redundancy_of(trial, basis)
             at = sum(len(p) for p in trial[:k]) + int(back[:j].sum())
-            size, error = float(np.linalg.norm(test.shift_px[at])), float(test.shift_sigma[at])
+            size = float(np.linalg.norm(test.shift_px[at]))
+            # the bad mark itself is no measure of noise
+            error = float(test.shift_sigma[at]) * state.redundancy.sigma_px / test.sigma_px
             plane = state.stated[k]
             number, (u, v) = int(plane.mark[j]), plane.pixels[j]
             remedy = (
