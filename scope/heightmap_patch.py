@@ -14,7 +14,6 @@ from scope.mesh import lattice_index, lattice_lines
 from scope.region import Region
 
 LEAST_POINTS = 1000
-LARGEST_PLAUSIBLE = 10.0  # mm rms about the mean plane: beyond, it is no roughness but a shape or a wrong unit
 _LARGEST_SKEW = 0.17  # |cos| between rows and columns: beyond 10 degrees the lattice is no rectangle
 
 
@@ -43,7 +42,7 @@ def patch_heights(cloud: ScanCloud, region: Region | None = None) -> HeightMap:
     Raises
     ------
     MeasurementError
-        An empty region, fewer than 1,000 points, a single profile, points on a line, or a spread no roughness has.
+        An empty region, fewer than 1,000 points, a single profile, or points on a line.
     """
     part, notes = _selected(cloud, region)
     index = _thinned(lattice_index(part, int(part.laser[0])))
@@ -53,7 +52,6 @@ def patch_heights(cloud: ScanCloud, region: Region | None = None) -> HeightMap:
             "frames: choose a wider region"
         )
     frame = _Levelled.of(part)
-    _plausible(frame.local[:, 2])
     sigma = _height_sigma(part, frame)
     if not np.isfinite(sigma).any():
         notes = (*notes, "the points carry no sigma: their noise is not predicted")
@@ -127,15 +125,6 @@ def _selected(cloud: ScanCloud, region: Region | None) -> tuple[ScanCloud, tuple
             "scan with smaller steps"
         )
     return cloud.select(inside), notes
-
-
-def _plausible(height: Array) -> None:
-    spread = float(height.std())
-    if spread > LARGEST_PLAUSIBLE:
-        raise MeasurementError(
-            f"the heights of the region spread by {spread:.3g} mm rms about their plane, which is no roughness "
-            f"(limit {LARGEST_PLAUSIBLE:g} mm): check that the cloud is in mm and that the region is one surface"
-        )
 
 
 def _thinned(index: Ints) -> Ints:
