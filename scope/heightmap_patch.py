@@ -63,7 +63,11 @@ def patch_heights(cloud: ScanCloud, region: Region | None = None) -> HeightMap:
         return _gridded(part, frame, (*notes, why))
     found = index >= 0
     z, spread, points = (np.full((*index.shape, *tail), np.nan) for tail in ((), (), (3,)))
-    z[found], spread[found], points[found] = frame.local[index[found], 2], sigma[index[found]], part.points[index[found]]
+    z[found], spread[found], points[found] = (
+        frame.local[index[found], 2],
+        sigma[index[found]],
+        part.points[index[found]],
+    )
     return HeightMap(
         z=z,
         pitch=steps,
@@ -106,9 +110,13 @@ def _selected(cloud: ScanCloud, region: Region | None) -> tuple[ScanCloud, tuple
     inside = np.ones(len(cloud), dtype=np.bool_) if region is None else region.contains(cloud.points)
     count = int(inside.sum())
     if count == 0:
-        span = "no points" if len(cloud) == 0 else ", ".join(
-            f"{name} {low:.1f} to {high:.1f}"
-            for name, low, high in zip("xyz", cloud.points.min(axis=0), cloud.points.max(axis=0), strict=True)
+        span = (
+            "no points"
+            if len(cloud) == 0
+            else ", ".join(
+                f"{name} {low:.1f} to {high:.1f}"
+                for name, low, high in zip("xyz", cloud.points.min(axis=0), cloud.points.max(axis=0), strict=True)
+            )
         )
         raise MeasurementError(f"the region is empty: the cloud spans {span} mm; move the region onto it")
     lasers, counts = np.unique(cloud.laser[inside], return_counts=True)

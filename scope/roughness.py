@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calibration.geometry import Array
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
@@ -17,13 +16,14 @@ from scope.heightmap_filter import l_filter, least_s_index, s_filter
 from scope.heightmap_form import remove_form
 from scope.heightmap_patch import LEAST_POINTS, patch_heights
 from scope.region import Region
-from scope.roughness_directions import direction_parameters
+from scope.roughness_directions import LARGEST_NOISE_SHARE, Told, direction_parameters
 from scope.roughness_estimate import LINEAR, Estimate, Evidence, chance, estimate
 from scope.roughness_noise import SIGMA_TRUST, Noise, predicted_noise, repeat_noise
 from scope.roughness_table import AREAL, Parameter
 from scope.roughness_texture import ISOTROPIC, Autocorrelation
 
 LARGEST_PLAUSIBLE = 10.0  # mm rms about the form: beyond, it is no roughness but a shape or a wrong unit
+_LARGEST_OF_PATCH = 0.2  # of the patch's shorter side: beyond, likewise
 _SLOPE_UNCERTAINTY = 0.10  # k = 2: slopes that noise leaves less certain than this are withheld
 _SLOPE_NOISE = 12.0  # raw over clean: beyond, noise is 99.3 % of the squared slopes
 _SLOPE_SAMPLING = 0.80  # of Sdq left at twice the pitch: below, the pitch decides it
@@ -171,10 +171,12 @@ def _formed(heights: HeightMap, options: RoughnessOptions) -> HeightMap:
         )
     formed = remove_form(heights.cropped(), options.form)
     spread = float(np.nanstd(formed.z))
-    if spread > LARGEST_PLAUSIBLE:
+    limit = min(LARGEST_PLAUSIBLE, _LARGEST_OF_PATCH * min(formed.size))
+    if spread > limit:
         raise MeasurementError(
-            f"the heights spread by {spread:.3g} mm rms about the {formed.form}, which is no roughness (limit "
-            f"{LARGEST_PLAUSIBLE:g} mm): check that the data are in mm and that the region is one surface"
+            f"the heights spread by {spread:.3g} mm rms about the {formed.form}, which is no roughness of a patch of "
+            f"{formed.size[0]:.3g} x {formed.size[1]:.3g} mm (limit {limit:.3g} mm): check that the data are in mm and "
+            "that the region is one surface"
         )
     if spread == 0.0:
         raise MeasurementError("all heights lie exactly on the form: there is no roughness in these data to measure")
@@ -207,11 +209,11 @@ def _trust(evidence: Evidence, found: Estimate, noise: Noise) -> dict[str, float
     if noise.source != "sigma" or noise.trust == 0.0:
         return dict.fromkeys(found.clean, 0.0)
     factor = (1.0 + noise.trust) ** 2
-    more = replace(
-        evidence, noise_variance=factor * evidence.noise_variance, slope_noise=factor * evidence.slope_noise
-    )
+    more = replace(evidence, noise_variance=factor * evidence.noise_variance, slope_noise=factor * evidence.slope_noise)
     moved = estimate(more, with_raw=False).clean
-    return {key: abs(moved[key] - value) if math.isfinite(moved[key]) else math.inf for key, value in found.clean.items()}
+    return {
+        key: abs(moved[key] - value) if math.isfinite(moved[key]) else math.inf for key, value in found.clean.items()
+    }
 
 
 def _areal(
@@ -227,11 +229,11 @@ def _areal(
         value, raw = found.clean[key], found.raw[key]
         reason = _withheld(key, found, noise)
         note = ""
-        extra = 0.0
-        if key in LINEAR and noise.source != "unknown" and not reason:
-            extra = abs(raw - value) * (0.5 if key in {"Sp", "Sv", "Sz"} else 0.125)
+        extra = _model_error(key, found) if noise.source != "unknown" and not reason else 0.0
         if key in {"Sp", "Sv", "Sz"} and gap_share > 0.01:
             note = "one-sided: the gaps may hide a greater value"
+        elif key in {"Sdq", "Sdr"} and evidence.slope_index > 0.0:
+            note = f"behind an S-filter of {evidence.slope_index:.3g} mm"
         expanded = None
         if spread and not reason and math.isfinite(spread[key]):
             expanded = 2.0 * math.sqrt(spread[key] ** 2 + trust[key] ** 2 + extra**2)
@@ -243,7 +245,7 @@ def _areal(
             unit=definition.unit,
             reason=reason,
             raw=raw if math.isfinite(raw) else None,
-            note=note or (f"behind an S-filter of {evidence.slope_index:.3g} mm" if key in {"Sdq", "Sdr"} and evidence.slope_index and not reason else ""),
+            note=note,
             clause=definition.clause,
         )
     if table["Sdq"].value is None and table["Sdr"].value is not None:
@@ -251,10 +253,30 @@ def _areal(
     return table
 
 
+def _model_error(key: str, found: Estimate) -> float:
+    """Standard uncertainty of scaling a parameter as if surface and noise were Gaussian.
+
+    It grows with the excess of the surface over a Gaussian; extremes of noise outnumber those of the surface, so that
+    theirs is half of what scaling took; the material ratios of the core are not corrected, but pulled to a Gaussian's.
+    """
+    clean, raw = found.clean, found.raw
+    if key in {"Sp", "Sv", "Sz"}:
+        return 0.5 * abs(raw[key] - clean[key])
+    if key in {"Smr1", "Smr2"}:
+        return 1.0 - (clean["Sq"] / raw["Sq"]) ** 2
+    if key in LINEAR:
+        excess = min(1.0, abs(clean["Ssk"]) / 2.0 + abs(clean["Sku"] - 3.0) / 3.0)
+        return (0.02 + 0.5 * excess) * abs(raw[key] - clean[key])
+    return 0.0
+
+
 def _withheld(key: str, found: Estimate, noise: Noise) -> str:
     """Why a parameter does not exist here; empty where it does."""
     if math.isnan(found.clean["Sq"]):
         return f"the noise of {noise.floor:.3g} mm is all of the measured Sq of {found.raw['Sq']:.3g} mm"
+    share = 1.0 - (found.clean["Sq"] / found.raw["Sq"]) ** 2
+    if key in {"Ssk", "Sku"} and share > LARGEST_NOISE_SHARE:
+        return f"noise is {100.0 * share:.0f} % of the variance (limit {100.0 * LARGEST_NOISE_SHARE:g} %)"
     if math.isfinite(found.clean[key]):
         return ""
     if key == "Str":
@@ -276,6 +298,8 @@ def _slope_gate(evidence: Evidence, found: Estimate, expanded: float | None) -> 
     if evidence.slope_index > 0.0:
         if raw > _SLOPE_NOISE * clean:
             return f"noise: the measured Sdq of {raw:.3g} is {raw / clean:.0f} times what noise leaves of it (limit {_SLOPE_NOISE:g})"
+        if expanded is not None and math.isinf(expanded):
+            return "noise: a sigma wrong by its uncertainty accounts for all of the slopes; give a repeat scan"
         if expanded is not None and expanded > _SLOPE_UNCERTAINTY * clean:
             return (
                 f"noise: Sdq {clean:.3g} would be uncertain by {100.0 * expanded / clean:.0f} % "
@@ -323,7 +347,7 @@ def _warnings(heights: HeightMap, found: Estimate) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _bandwidth(heights: HeightMap, options: RoughnessOptions, told: object) -> dict[str, float | None]:
+def _bandwidth(heights: HeightMap, options: RoughnessOptions, told: Told) -> dict[str, float | None]:
     width = options.stripe_width
     return {
         "pitch_across": heights.pitch[0],
@@ -332,6 +356,7 @@ def _bandwidth(heights: HeightMap, options: RoughnessOptions, told: object) -> d
         "least_s_index": least_s_index(heights.pitch),
         "s_filter": options.s_filter,
         "l_filter": options.l_filter,
+        **{f"cutoff_{way}": value for way, value in told.cutoffs.items()},
         "patch_across": heights.size[0],
         "patch_along": heights.size[1],
     }

@@ -46,7 +46,8 @@ def gradient_products(first: Array, second: Array, pitch: tuple[float, float]) -
             a = np.diff(first[rows], axis=axis)
             b = a if second is first else np.diff(second[rows], axis=axis)
             total[axis], count[axis] = _accumulate(a * b, total[axis], count[axis])
-    return np.divide(total, count, out=np.full(2, np.nan), where=count > 0) / np.square(pitch)
+    mean = np.divide(total, count, out=np.full(2, np.nan), where=count > 0)
+    return np.asarray(mean / np.square(pitch))
 
 
 def root_mean_square_gradient(z: Array, pitch: tuple[float, float]) -> float:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.geometry import Array
+from calibration.geometry import Array, Bools
 from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
 
@@ -88,7 +88,9 @@ def repeat_noise(first: HeightMap, repeat: HeightMap, *, stripe_width: float = m
             f"warning: the repeat is displaced by less than a stripe's width ({least:.3g} mm): speckle and pixel phase "
             "recur in it, so the noise floor is temporal noise only"
         )
-    return Noise("repeat", float(difference.std() / math.sqrt(2.0)), 0.0, moved, displacement, correlation, tuple(notes))
+    return Noise(
+        "repeat", float(difference.std() / math.sqrt(2.0)), 0.0, moved, displacement, correlation, tuple(notes)
+    )
 
 
 def onto_lattice(first: HeightMap, repeat: HeightMap, *, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
@@ -114,10 +116,10 @@ def onto_lattice(first: HeightMap, repeat: HeightMap, *, shift: tuple[float, flo
 def interpolated(z: Array, place: Array) -> Array:
     """Heights (rows, columns) mm at fractional (row, column) places (..., 2); NaN outside and beside gaps."""
     rows, columns = z.shape
-    inside = np.isfinite(place).all(axis=-1)
+    inside: Bools = np.asarray(np.isfinite(place).all(axis=-1))
     safe = np.where(inside[..., None], place, 0.0)
     base = np.floor(safe + 1e-6).astype(np.int64)
-    part = safe - base
+    part: Array = safe - base.astype(np.float64)
     part[np.abs(part) < 1e-3] = 0.0
     cubic = np.zeros(inside.shape)
     linear = np.zeros(inside.shape)

@@ -90,8 +90,7 @@ def profile_parameters(profiles: Profiles) -> dict[str, Array]:
         "Rku": (square * square).sum(axis=1) / count / safe**2,
         "Rdq": np.sqrt(np.square(np.where(pairs, step, 0.0)).sum(axis=1) / np.maximum(pairs.sum(axis=1), 1)),
     }
-    for name in result:
-        result[name] = np.where(enough, result[name], np.nan)
+    result = {name: np.where(enough, each, np.nan) for name, each in result.items()}
     result["RSm"], result["Rc"] = np.full(len(z), np.nan), np.full(len(z), np.nan)
     rows = np.flatnonzero(enough)
     for row in rows[:: max(1, -(-len(rows) // _MOST_PROFILES))]:
@@ -154,7 +153,7 @@ def _section_heights(z: Array, section: int) -> Array:
     height = np.where(known, parts, -np.inf).max(axis=2) - np.where(known, parts, np.inf).min(axis=2)
     good = known.sum(axis=2) >= max(2, parts.shape[2] // 2)
     total = np.where(good, height, 0.0).sum(axis=1)
-    return np.divide(total, good.sum(axis=1), out=np.full(len(z), np.nan), where=good.any(axis=1))
+    return np.asarray(np.divide(total, good.sum(axis=1), out=np.full(len(z), np.nan), where=good.any(axis=1)))
 
 
 def _default_cutoff(z: Array, pitch: float) -> float:
@@ -170,5 +169,6 @@ def _default_cutoff(z: Array, pitch: float) -> float:
     found = np.array(widths)[np.isfinite(widths)]
     if len(found) == 0:
         return fitting[-1]
-    wanted = next(index for limit, index in _CLASSES if float(np.median(found)) <= limit)
-    return min(wanted, fitting[-1]) if wanted >= fitting[0] else fitting[0]
+    width = float(np.median(found))
+    wanted = next(index for limit, index in _CLASSES if width <= limit)
+    return min(max(wanted, fitting[0]), fitting[-1])

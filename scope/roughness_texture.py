@@ -32,7 +32,7 @@ class Autocorrelation:
         """Lags (mm) from 0 down (0) or along (1) the map, and the correlation there."""
         i, j = self.centre
         values = self.covariance[i:, j] if axis == 0 else self.covariance[i, j:]
-        return np.arange(len(values)) * self.pitch[axis], values / self.variance
+        return np.arange(len(values), dtype=np.float64) * self.pitch[axis], values / self.variance
 
 
 def autocorrelation(
@@ -67,7 +67,11 @@ def autocorrelation(
     from scipy import fft
 
     rows, columns = first.shape
-    lag = (max(1, rows // 4), max(1, columns // 4)) if reach is None else (min(reach[0], rows - 1), min(reach[1], columns - 1))
+    lag = (
+        (max(1, rows // 4), max(1, columns // 4))
+        if reach is None
+        else (min(reach[0], rows - 1), min(reach[1], columns - 1))
+    )
     size = tuple(fft.next_fast_len(n + k, real=True) for n, k in zip(first.shape, lag, strict=True))
     a, known_a = _centred(first)
     spectrum = fft.rfft2(a, s=size)
@@ -79,7 +83,9 @@ def autocorrelation(
         product = spectrum.real * other.real + spectrum.imag * other.imag  # the mean of both orders: even in the lag
     total = _lags(fft.irfft2(product, s=size), lag)
     if known_a is None and (second is None or known_b is None):
-        pairs = np.outer(rows - np.abs(np.arange(-lag[0], lag[0] + 1)), columns - np.abs(np.arange(-lag[1], lag[1] + 1)))
+        pairs = np.outer(
+            rows - np.abs(np.arange(-lag[0], lag[0] + 1)), columns - np.abs(np.arange(-lag[1], lag[1] + 1))
+        )
     else:
         mask = _mask(known_a, first.shape)
         shape = fft.rfft2(mask, s=size)
