@@ -12,7 +12,7 @@ from calibration.geometry import Array
 from scope.heightmap_filter import gaussian
 
 # Setting classes of ISO 21920-3: up to this mean element width (mm), this nesting index of the L-filter (mm).
-_CLASSES = ((0.04, 0.08), (0.13, 0.25), (0.4, 0.8), (1.3, 2.5), (math.inf, 8.0))
+_CLASSES: tuple[tuple[float, float], ...] = ((0.04, 0.08), (0.13, 0.25), (0.4, 0.8), (1.3, 2.5), (math.inf, 8.0))
 SECTIONS = 5  # section lengths in an evaluation length (ISO 21920-3)
 DISCRIMINATION = 0.10  # of Rz: a hill or dale lower than this is none (ISO 21920-2)
 _MOST_PROFILES = 400  # whose elements are looked at one by one
@@ -157,7 +157,7 @@ def _section_heights(z: Array, section: int) -> Array:
 
 
 def _default_cutoff(z: Array, pitch: float) -> float:
-    length = z.shape[1] * pitch
+    length = float(z.shape[1] * pitch)
     fitting = [index for _, index in _CLASSES if 4.0 * pitch <= index <= length / SECTIONS]
     if not fitting:
         return max(4.0 * pitch, length / SECTIONS) if length >= 4.0 * pitch else length

@@ -28,6 +28,11 @@ class Autocorrelation:
         """Row and column of lag (0, 0)."""
         return self.covariance.shape[0] // 2, self.covariance.shape[1] // 2
 
+    def reach_beyond(self, open_: tuple[bool, bool], shape: tuple[int, ...]) -> tuple[int, int]:
+        """Lags (down, along) that go to the end of a map (rows, columns) where the contour is open."""
+        down, along = (n - 1 if free else lag for n, lag, free in zip(shape, self.centre, open_, strict=True))
+        return down, along
+
     def profile(self, axis: int) -> tuple[Array, Array]:
         """Lags (mm) from 0 down (0) or along (1) the map, and the correlation there."""
         i, j = self.centre
@@ -107,39 +112,61 @@ class Decay:
 
     shortest: float  # mm: Sal; NaN where the correlation falls nowhere within the map
     longest: float  # mm, in the slowest direction; a lower bound unless closed
-    closed: bool  # the contour closes within the map
+    open: tuple[bool, bool]  # the contour runs off the lags down, along
+
+    @property
+    def closed(self) -> bool:
+        """Whether the contour closes within the map."""
+        return not any(self.open)
 
 
 def decay(acf: Autocorrelation, *, level: float = DECAY) -> Decay:
     """Nearest and farthest point of the contour, about lag 0, where the correlation is ``level``.
 
-    The contour is crossed where lattice lines leave the region about lag 0, by linear interpolation. A ridge that
+    The contour is crossed where lattice lines leave the region about lag 0, by cubic interpolation. A ridge that
     stays correlated over the whole map leaves the contour open: ``longest`` is then what was seen of it. Nothing
     follows (NaN, open) where the variance is not positive.
     """
     if not acf.variance > 0.0:
-        return Decay(float("nan"), float("nan"), closed=False)
+        return Decay(float("nan"), float("nan"), (True, True))
     correlation = acf.covariance / acf.variance
     i0, j0 = acf.centre
     correlation[i0, j0] = 1.0
-    padded = np.pad(correlation, 1, constant_values=np.nan)
+    padded = np.pad(correlation, 2, constant_values=np.nan)
     inside = padded > level
     _, labels = cv2.connectedComponents(inside.astype(np.uint8), connectivity=4)
-    region = labels == labels[i0 + 1, j0 + 1]
-    near, far, closed = np.inf, 0.0, True
+    region = labels == labels[i0 + 2, j0 + 2]
+    near, far, unbounded = np.inf, 0.0, [False, False]
     for step in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         outside = ~np.roll(region, (-step[0], -step[1]), axis=(0, 1))
         rows, columns = np.nonzero(region & outside)
-        here, there = padded[rows, columns], padded[rows + step[0], columns + step[1]]
-        unknown = np.isnan(there)
-        closed &= not unknown.any()
-        part = np.where(unknown, 0.0, (here - level) / np.where(unknown, 1.0, here - there))
-        down = (rows - 1 - i0 + part * step[0]) * acf.pitch[0]
-        along = (columns - 1 - j0 + part * step[1]) * acf.pitch[1]
+        four = np.stack([padded[rows + k * step[0], columns + k * step[1]] for k in (-1, 0, 1, 2)])
+        unknown = np.isnan(four[2])
+        unbounded[0 if step[0] else 1] |= bool(unknown.any())
+        part = np.where(unknown, 0.0, _crossing(four, level))
+        down = (rows - 2 - i0 + part * step[0]) * acf.pitch[0]
+        along = (columns - 2 - j0 + part * step[1]) * acf.pitch[1]
         distance = np.hypot(down, along)
         near = min(near, float(distance[~unknown].min(initial=np.inf)))
         far = max(far, float(distance.max(initial=0.0)))
-    return Decay(near if np.isfinite(near) else float("nan"), far, closed)
+    return Decay(near if np.isfinite(near) else float("nan"), far, (unbounded[0], unbounded[1]))
+
+
+def _crossing(four: Array, level: float) -> Array:
+    """Where (0 to 1) between the middle two of four values (4, N) the cubic through them falls to ``level``.
+
+    Newton's steps from the linear answer, which is kept where an outer value is missing.
+    """
+    before, here, there, after = four
+    part = (here - level) / np.where(here > there, here - there, np.nan)
+    start = part.copy()
+    second, third = 0.5 * (before - 2.0 * here + there), (after - before) / 6.0 + 0.5 * (here - there)
+    first = there - here - second - third
+    for _ in range(4):
+        value = ((third * part + second) * part + first) * part + here - level
+        slope = (3.0 * third * part + 2.0 * second) * part + first
+        part = np.clip(part - value / np.where(slope < 0.0, slope, np.nan), 0.0, 1.0)
+    return np.asarray(np.where(np.isfinite(part), part, start))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,14 +185,16 @@ def texture(
 ) -> Texture:
     """Sal (mm), Str and Std (degrees) of heights (rows, columns) mm (ISO 25178-2, clause 4.3).
 
-    Lags reach a quarter of the map, and all of it where that leaves the contour open. Std is NaN where Str is above
+    Lags reach a quarter of the map, and all of it along the axis on which that leaves the contour open. Std is NaN where Str is above
     0.6: an isotropic surface has no direction.
     See `autocorrelation` for the arguments.
     """
     acf = autocorrelation(first, pitch, second=second, noise_variance=noise_variance)
     found = decay(acf)
-    if not found.closed and not acf.whole:
-        reach = (first.shape[0] - 1, first.shape[1] - 1)
+    while not found.closed and not acf.whole and acf.variance > 0.0:
+        reach = acf.reach_beyond(found.open, first.shape)
+        if reach == acf.centre:
+            break
         acf = autocorrelation(first, pitch, second=second, noise_variance=noise_variance, reach=reach)
         found = decay(acf)
     ratio = found.shortest / found.longest if found.longest > 0.0 else float("nan")
