@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from cli import calibrate, scan, view
 from scope.version import __version__
 
 app = typer.Typer(
@@ -30,6 +31,10 @@ def root(
     ] = False,
 ) -> None:
     """Lengths are mm, angles degrees, pixels (u, v) = (column, row) from the centre of the first pixel."""
+
+
+for _commands in (calibrate, scan, view):
+    _commands.register(app)
 
 
 def main() -> None:

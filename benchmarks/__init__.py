@@ -1,0 +1,1 @@
+"""Figures, each beside its peer or its limit: ``python -m benchmarks.NAME``."""

@@ -1,0 +1,108 @@
+"""The direction of a linear stage, or the axis of a turntable, from the target carried by it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calibration.errors import CalibrationError
+from calibration.geometry import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """A stage in C, with its uncertainty."""
+
+    kind: Literal["linear", "turntable"]
+    direction: Array  # (3,) unit: of travel, or of the axis (right-hand rule for growing positions)
+    point: Array  # (3,) mm: on the axis; the first position of the target for a linear stage
+    direction_sigma: float  # rad, one standard deviation of the direction about either perpendicular
+    scale: float  # travelled over stated (1 where the stage tells the truth); 1 for a turntable
+    rms_mm: float  # of the marks about the motion
+
+
+def fit_linear(tracks: Array, positions: Array) -> Stage:
+    """Direction of travel from marks (positions, marks, 3) mm, each seen at every position (n,) mm.
+
+    Each mark moves along x0 + s d with one d for all: linear least squares, eliminating the x0.
+    ``CalibrationError`` where the positions do not differ or the marks do not move.
+    """
+    s = positions - positions.mean()
+    if not np.abs(s).max() > 0:
+        raise CalibrationError(f"stage: all {len(s)} positions are {positions[0]:g} mm; move the target between images")
+    centred = tracks - tracks.mean(axis=0)
+    vector = np.einsum("p,pmi->i", s, centred) / (tracks.shape[1] * (s @ s))
+    length = float(np.linalg.norm(vector))
+    residual = centred - s[:, None, None] * vector
+    freedom = max(residual.size - 3 * tracks.shape[1] - 3, 1)
+    sigma = float(np.sqrt((residual**2).sum() / freedom))
+    error = sigma / np.sqrt(tracks.shape[1] * (s @ s))
+    if length < 10 * error or length < 1e-6:
+        raise CalibrationError(
+            f"stage: the target moves by {length:.4f} mm a stated mm; it does not seem to be on the stage"
+        )
+    start = tracks[int(np.argmin(positions))].mean(axis=0)
+    rms = float(np.sqrt((residual**2).sum(axis=2).mean()))
+    return Stage("linear", vector / length, start, error / length, length, rms)
+
+
+def fit_turntable(tracks: Array, angles: Array) -> Stage:
+    """Axis of rotation from marks (positions, marks, 3) mm seen at stated angles (n,) rad.
+
+    Every pair of positions gives a rotation (Kabsch 1976) whose axis, signed by the stated turn, is averaged with the
+    turn as weight; the point solves (I - R) p = t over all positions. ``CalibrationError`` for turns under 2 degrees.
+    """
+    turns = angles - angles[0]
+    if np.abs(turns).max() < np.deg2rad(2.0):
+        raise CalibrationError(
+            f"stage: the turntable turns by {np.rad2deg(np.abs(turns).max()):.2f} degrees; its axis needs 2 or more, better 90"
+        )
+    first = tracks[0]
+    rotations = [_kabsch(first, moved) for moved in tracks[1:]]
+    axes, weights = [], []
+    for rotation, turn in zip(rotations, turns[1:], strict=True):
+        axis = np.array(
+            [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+        )
+        axes.append(axis * np.sign(np.sin(turn)))  # length 2 |sin|: its own weight
+        weights.append(2 * abs(np.sin(turn)))
+    total = np.sum(axes, axis=0)
+    if np.linalg.norm(total) < 0.5 * np.sum(weights):
+        raise CalibrationError(
+            "stage: the target does not turn as the stated angles say; check their order and their sign"
+        )
+    direction = total / np.linalg.norm(total)
+    matrix = np.concatenate([np.eye(3) - _about(direction, turn) for turn in turns[1:]])
+    centre = first.mean(axis=0)
+    shift = np.concatenate(
+        [
+            moved.mean(axis=0) - _about(direction, turn) @ centre
+            for moved, turn in zip(tracks[1:], turns[1:], strict=True)
+        ]
+    )
+    point = np.linalg.lstsq(matrix, shift, rcond=1e-9)[0]
+    point = point + ((centre - point) @ direction) * direction
+    residual = np.stack(
+        [
+            moved - (point + (first - point) @ _about(direction, turn).T)
+            for moved, turn in zip(tracks, turns, strict=True)
+        ]
+    )
+    spread = [np.arccos(np.clip(a @ direction / np.linalg.norm(a), -1, 1)) for a in axes]
+    error = float(np.sqrt(np.mean(np.square(spread)) / max(2 * len(spread) - 2, 1)))
+    return Stage("turntable", direction, point, error, 1.0, float(np.sqrt((residual**2).sum(axis=2).mean())))
+
+
+def _kabsch(source: Array, moved: Array) -> Array:
+    """Rotation (3, 3) that turns source best to moved."""
+    a, b = source - source.mean(axis=0), moved - moved.mean(axis=0)
+    left, _, right = np.linalg.svd(b.T @ a)
+    left[:, -1] *= np.sign(np.linalg.det(left @ right))
+    return np.asarray(left @ right)
+
+
+def _about(axis: Array, angle: float) -> Array:
+    k = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k))

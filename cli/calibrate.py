@@ -1,0 +1,113 @@
+"""`scope calibrate` and `scope verify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, progress, say, user_errors
+
+Model = Literal["auto", "two-plane", "joint", "pinhole"]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command()(calibrate)
+    app.command()(verify)
+
+
+def calibrate(
+    file: Annotated[Path, typer.Argument(help="calibration.toml")] = Path("calibration.toml"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Where the rig is written.")] = Path("rig.json"),
+    model: Annotated[Model, typer.Option("--model", help="Which rays the camera gives.")] = "auto",
+    order: Annotated[
+        str, typer.Option("--order", help="Terms of the plane maps: auto, linear, paper or a degree.")
+    ] = "auto",
+    check: Annotated[
+        str | None, typer.Option("--check", metavar="PLANE", help="Judge one plane's images at the jig.")
+    ] = None,
+    init: Annotated[bool, typer.Option("--init", help="Write a commented calibration.toml to fill in.")] = False,
+    report: Report = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find the marks, fit every plane, verify, calibrate lasers and stages, and write the rig."""
+    with user_errors():
+        if init:
+            _init(file, quiet=quiet)
+        elif check is not None:
+            _check(file, check, as_json=as_json)
+        else:
+            _calibrate(file, out, model, order, report, as_json=as_json, quiet=quiet)
+
+
+def verify(
+    rig: Annotated[Path, typer.Argument(help="rig.json")],
+    other: Annotated[
+        Path | None, typer.Option("--with", help="calibration.toml with images the rig has not seen.")
+    ] = None,
+    report: Report = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Repeat what the rig says of its verification, or test it on images it has not seen."""
+    from calibration.atomic import write_text
+    from scope import pipeline
+
+    with user_errors():
+        pipeline.require_writable(report)
+        result = pipeline.verify(rig, other)
+        if report is not None:
+            write_text(report, pipeline.verification_page(result))
+            say(f"wrote {report}", quiet=quiet)
+    emit(result, as_json=as_json, text=pipeline.verification_text(result))
+    if not result["passed"]:
+        raise typer.Exit(EXIT_NOT_TO_BE_USED)
+
+
+def _calibrate(
+    file: Path, out: Path, model: Model, order: str, report: Path | None, *, as_json: bool, quiet: bool
+) -> None:
+    from calibration.atomic import write_text
+    from scope import pipeline
+
+    pipeline.require_writable(out, report)
+    with progress("finding marks", quiet=quiet) as tick:
+        found = pipeline.calibrate(file, model=model, order=_order(order), on_plane=tick)
+    found.rig.save(out)
+    say(f"wrote {out}", quiet=quiet)
+    if report is not None:
+        write_text(report, pipeline.calibration_page(found))
+        say(f"wrote {report}", quiet=quiet)
+    emit(found.result, as_json=as_json, text=pipeline.calibration_text(found))
+    if not found.rig.verification.passed:
+        raise typer.Exit(EXIT_NOT_TO_BE_USED)
+
+
+def _check(file: Path, plane: str, *, as_json: bool) -> None:
+    from scope import pipeline
+
+    result = pipeline.check_plane(file, plane)
+    emit(result, as_json=as_json, text=pipeline.check_text(result))
+    if result["remedy"]:
+        raise typer.Exit(EXIT_NOT_TO_BE_USED)
+
+
+def _init(file: Path, *, quiet: bool) -> None:
+    from scope import pipeline
+
+    # `--init chessboard` leaves the kind where the file would be
+    kind = str(file) if str(file) in pipeline.TEMPLATES else "spots"
+    path = Path("calibration.toml") if str(file) in pipeline.TEMPLATES else file
+    pipeline.write_template(path, kind)
+    say(f"wrote {path}: fill it in, then run: scope calibrate {path}", quiet=quiet)
+
+
+def _order(text: str) -> Literal["auto", "linear", "paper"] | int:
+    if text in {"auto", "linear", "paper"}:
+        return text  # type: ignore[return-value]
+    if text.isdigit() and 1 <= int(text) <= 9:
+        return int(text)
+    raise typer.BadParameter(f"{text!r}: use auto, linear, paper or a degree from 1 to 9", param_hint="--order")

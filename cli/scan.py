@@ -1,0 +1,98 @@
+"""`scope scan`, `scope simulate` and `scope demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, progress, say, user_errors
+
+Method = Literal["auto", "centroid", "gaussian", "ridge"]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command()(scan)
+    app.command()(simulate)
+    app.command()(demo)
+
+
+def scan(
+    capture: Annotated[Path, typer.Argument(help="capture.toml")],
+    rig: Annotated[Path, typer.Option("--rig", "-r", help="Calibrated rig.")] = Path("rig.json"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Point cloud, mm.")] = Path("cloud.ply"),
+    method: Annotated[Method, typer.Option("--method", help="How the stripe is measured.")] = "auto",
+    normals: Annotated[bool, typer.Option("--normals", help="Add surface normals from the scan lattice.")] = False,
+    max_sigma: Annotated[
+        float | None, typer.Option("--max-sigma", min=0.0, help="Reject points less certain than this, mm.")
+    ] = None,
+    extrapolate: Annotated[
+        float, typer.Option("--extrapolate", min=0.0, help="Range this far outside the calibrated volume, mm.")
+    ] = 0.0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from an interrupted scan's cloud.ply.part.")] = False,
+    allow_unverified: Annotated[
+        bool, typer.Option("--allow-unverified", help="Exit 0 although the rig is not verified.")
+    ] = False,
+    report: Report = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Range every stripe image of a capture and write one point cloud."""
+    from calibration.atomic import write_text
+    from scope import pipeline
+
+    with user_errors():
+        pipeline.require_writable(out, report)
+        with progress("scanning", quiet=quiet) as tick:
+            found = pipeline.scan_to_file(
+                capture, rig, out, pipeline.scan_options(method=method, normals=normals, max_sigma=max_sigma, extrapolate=extrapolate),
+                resume=resume, on_frame=tick,
+            )  # fmt: skip
+        say(f"wrote {out}", quiet=quiet)
+        if report is not None:
+            write_text(report, pipeline.scan_page(found, capture))
+            say(f"wrote {report}", quiet=quiet)
+    result = pipeline.scan_result(found)
+    emit(result, as_json=as_json, text=pipeline.scan_text(found))
+    if found.why_incomplete:
+        say(f"incomplete: {found.why_incomplete}; go on with --resume", quiet=quiet)
+    if not found.cloud.verified and not allow_unverified:
+        say(
+            "the rig is not verified: do not use this cloud (scope verify says why; --allow-unverified accepts it)",
+            quiet=quiet,
+        )
+        raise typer.Exit(EXIT_NOT_TO_BE_USED)
+
+
+def simulate(
+    design: Annotated[Path, typer.Argument(help="rig-design.toml")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the session.")],
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and dirt.")] = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Render a virtual rig: calibration.toml, capture.toml, images, and the truth."""
+    from scope import pipeline
+
+    with user_errors(), progress("rendering", quiet=quiet) as tick:
+        result = pipeline.simulate(design, out, seed=seed, on_image=tick)
+    emit(
+        result,
+        as_json=as_json,
+        text=f"wrote {result['images']} images to {out}; expected sigma {result['expected_sigma_mm']} mm",
+    )
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for everything that is made.")] = Path("demo"),
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate, calibrate, verify, scan, measure and report, and show the deviation of each from the truth."""
+    from scope import pipeline
+
+    with user_errors(), progress("demo", quiet=quiet) as tick:
+        result = pipeline.run_demo(out, on_step=tick, say=lambda text: say(text, quiet=quiet))
+    emit(result, as_json=as_json, text=pipeline.demo_text(result))

@@ -1,0 +1,19 @@
+"""What the compiled passes hand to each other: a flat image read as lines, and a table of answers, one column a line."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+# Number of lines, pixels of a line, steps in memory to the next line and to the next pixel: one compilation serves
+# stripes along rows and along columns.
+Layout: TypeAlias = tuple[int, int, int, int]
+
+# Rows of the table: px, px, px, grey levels, grey levels, -, -, -, pixels, a state.
+POSITION, SIGMA, WIDTH, PEAK, FLOOR, ASYMMETRY, ASYMMETRY_SIGMA, MISFIT, CLIPPED, STATE = range(10)
+ROWS = 10
+
+GOOD = 0  # measured
+NO_PEAK = 1  # nowhere to look
+NO_FLANK = 2  # as bright as half the peak as far as was looked
+CUT = 3  # by the border of the image
+DIVERGED = 4  # no stripe of that shape

@@ -1,0 +1,164 @@
+"""The frames of a capture, from a folder, a video or a camera, decoded ahead and in order."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from calibration.errors import FileError
+from ranging.errors import RangingError
+from scope.capture import Capture
+from scope.images import Image, read_image
+
+T = TypeVar("T")
+AHEAD = 6  # frames held at once
+THREADS = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One exposure: the image, and the laser-off image that belongs to it alone."""
+
+    number: int  # for the motion
+    name: str
+    image: Image
+    background: Image | None = None
+
+
+class Source(Protocol):
+    """Frames to come; ``loaders`` are called in threads, in order of issue."""
+
+    @property
+    def count(self) -> int | None:
+        """Frames to come in all; None: unknown before the end."""
+        ...
+
+    def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
+        """Calls that give the frames from the ``first`` on; one that gives None ends the stream."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Folder:
+    """Image files."""
+
+    capture: Capture
+
+    @property
+    def count(self) -> int:
+        """Frames, each of one image or of a pair."""
+        return len(self.capture.images) // (2 if self.capture.background_mode == "alternate" else 1)
+
+    def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
+        """One loader a frame: files are decoded in the threads that call them."""
+        for k in range(first, self.count):
+            yield lambda k=k: self._load(k)  # type: ignore[misc]
+
+    def _load(self, k: int) -> Frame:
+        capture = self.capture
+        number = k if capture.numbers is None else capture.numbers[k]
+        if capture.background_mode == "alternate":
+            on, off = capture.images[2 * k : 2 * k + 2]
+            return Frame(number, on.name, read_image(on), read_image(off))
+        image = capture.images[k]
+        dark = read_image(capture.background[k]) if capture.background_mode == "paired" else None
+        return Frame(number, image.name, read_image(image), dark)
+
+
+@dataclass(slots=True, eq=False)
+class Stream:
+    """A video file, or a live camera by its index: frames come one after the other."""
+
+    capture: Capture
+    opened: Any  # cv2.VideoCapture
+    name: str
+    count: int | None
+    broken: str = ""  # why the stream ended before its announced end
+
+    @classmethod
+    def open(cls, capture: Capture) -> Stream:
+        """Open the capture's video or camera; ``FileError`` or ``RangingError`` where it cannot be."""
+        import cv2
+
+        if capture.video is not None:
+            opened = cv2.VideoCapture(str(capture.video))
+            if not opened.isOpened():
+                raise FileError(f"{capture.video}: is no video that can be decoded; record it again or give images")
+            announced = int(opened.get(cv2.CAP_PROP_FRAME_COUNT))
+            pair = 2 if capture.background_mode == "alternate" else 1
+            return cls(capture, opened, capture.video.name, announced // pair if announced > 0 else None)
+        opened = cv2.VideoCapture(capture.camera or 0)
+        if not opened.isOpened():
+            raise RangingError(
+                f"{capture.path}: camera {capture.camera} does not answer; check the cable, the index and that no other program "
+                "uses it"
+            )
+        return cls(capture, opened, f"camera {capture.camera}", capture.frames)
+
+    def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
+        """Loaders of frames that were read here, in order; a stream ends with its last frame."""
+        k = 0
+        try:
+            while self.count is None or k < self.count:
+                frame = self._next(k)
+                if frame is None:
+                    if self.count is not None:
+                        self.broken = f"{self.name} ended after {k} of {self.count} frames"
+                    return
+                if k >= first:
+                    yield lambda frame=frame: frame  # type: ignore[misc]
+                k += 1
+        finally:
+            self.opened.release()
+
+    def _next(self, k: int) -> Frame | None:
+        done, image = self.opened.read()
+        if not done:
+            return None
+        dark = None
+        if self.capture.background_mode == "alternate":
+            done, dark = self.opened.read()
+            if not done:
+                return None
+        return Frame(k, f"{self.name} frame {k}", image, dark)
+
+
+def open_source(capture: Capture) -> Source:
+    """Where the frames of a capture come from."""
+    return Folder(capture) if capture.images else Stream.open(capture)
+
+
+def in_order(source: Source, work: Callable[[Frame], T], *, first: int = 0) -> Iterator[T]:
+    """Results of ``work`` on every frame, in order; loading and work run ahead in threads, few frames are held."""
+    with ThreadPoolExecutor(max_workers=THREADS) as pool:
+        waiting: deque[Future[T | None]] = deque()
+
+        def job(load: Callable[[], Frame | None]) -> T | None:
+            frame = load()
+            return None if frame is None else work(frame)
+
+        try:
+            for load in source.loaders(first):
+                waiting.append(pool.submit(job, load))
+                if len(waiting) >= AHEAD:
+                    result = waiting.popleft().result()
+                    if result is not None:
+                        yield result
+            while waiting:
+                result = waiting.popleft().result()
+                if result is not None:
+                    yield result
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def first_images(capture: Capture, count: int) -> list[Image]:
+    """A few images spread over a folder, to choose a channel by; none of a stream, which cannot be wound back."""
+    images = capture.images[::2] if capture.background_mode == "alternate" else capture.images
+    chosen = images[:: max(1, len(images) // count)][:count]
+    return [read_image(Path(path)) for path in chosen]

@@ -1,0 +1,110 @@
+"""Images from files, videos and cameras, one at a time and in order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.errors import FileError
+from calibration.geometry import Array
+
+Image = NDArray[Any]  # (rows, columns) or (rows, columns, 3) BGR; uint8 or uint16
+_MOST_PIXELS = 200_000_000
+
+
+def read_image(path: Path) -> Image:
+    """Read an image as it is stored: grey or BGR, 8 or 16 bits.
+
+    An alpha channel is dropped, a palette is applied, one-channel colour becomes grey. ``FileError`` for a file that is
+    missing, empty, truncated or no image, and for pixels that are not 8- or 16-bit unsigned.
+    """
+    import cv2
+
+    try:
+        size = path.stat().st_size
+        data = np.fromfile(path, dtype=np.uint8)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    if size == 0:
+        raise FileError(f"{path}: is empty (0 bytes); take the image again")
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise FileError(f"{path}: is no image that can be decoded ({size} bytes; truncated?); take or copy it again")
+    if _truncated(data):
+        raise FileError(f"{path}: is truncated ({size} bytes, its end is missing); take or copy it again")
+    if image.size > 4 * _MOST_PIXELS:
+        raise FileError(f"{path}: {image.shape[1]} x {image.shape[0]} px; at most {_MOST_PIXELS} pixels are read")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise FileError(f"{path}: its pixels are {image.dtype}; 8- or 16-bit unsigned are needed: convert it")
+    if image.ndim == 3 and image.shape[2] == 4:
+        image = image[:, :, :3]
+    if image.ndim == 3 and image.shape[2] not in (1, 3):
+        raise FileError(f"{path}: has {image.shape[2]} channels; 1, 3 or 4 are needed: convert it")
+    return np.ascontiguousarray(image[:, :, 0] if image.ndim == 3 and image.shape[2] == 1 else image)
+
+
+def _truncated(data: NDArray[np.uint8]) -> bool:
+    """Whether a PNG or JPEG lacks its end: decoders fill the missing rows with grey and say nothing."""
+    head, tail = data[:8].tobytes(), data[-64:].tobytes()
+    if head == b"\x89PNG\r\n\x1a\n":
+        return b"IEND" not in tail
+    if head[:3] == b"\xff\xd8\xff":
+        return b"\xff\xd9" not in data[-4096:].tobytes()
+    return False
+
+
+def read_alike(paths: Sequence[Path], what: str) -> list[Image]:
+    """Images that must agree in size, depth and channels; ``FileError`` names the first that does not."""
+    images: list[Image] = []
+    for path in paths:
+        image = read_image(path)
+        if images and (image.shape != images[0].shape or image.dtype != images[0].dtype):
+            raise FileError(
+                f"{path}: {shape_text(image)}, but {paths[0].name} has {shape_text(images[0])}; all images of {what} must "
+                "agree: take them with the same settings"
+            )
+        images.append(image)
+    return images
+
+
+def shape_text(image: Image) -> str:
+    """Size, depth and channels in words."""
+    colour = "colour" if image.ndim == 3 else "grey"
+    return f"{image.shape[1]} x {image.shape[0]} px, {image.dtype.itemsize * 8} bit {colour}"
+
+
+def gray(image: Image) -> Image:
+    """Grey levels (rows, columns) of an image for finding marks: the mean of the colours, weighted as BT.601."""
+    import cv2
+
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+
+
+def mean_gray(images: Sequence[Image]) -> Array | Image:
+    """Mean grey levels (rows, columns) of repeats; a single image keeps its type."""
+    if len(images) == 1:
+        return gray(images[0])
+    total = np.zeros(images[0].shape[:2], dtype=np.float32)
+    for image in images:
+        total += gray(image)
+    return np.asarray(total / np.float32(len(images)))
+
+
+def mean_image(images: Sequence[Image]) -> Image:
+    """Mean of repeats as they are stored, rounded to twice their depth where that keeps what averaging gained.
+
+    Repeats of 8 bits are scaled to 16 bits, so that the mean is not rounded to a grey level.
+    """
+    if len(images) == 1:
+        return images[0]
+    mean = np.mean([image.astype(np.float32) for image in images], axis=0)
+    if images[0].dtype == np.uint8:
+        return np.asarray(np.rint(mean * 257.0), dtype=np.uint16)
+    return np.asarray(np.rint(mean), dtype=np.uint16)

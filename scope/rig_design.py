@@ -1,0 +1,380 @@
+"""rig-design.toml: a rig to be simulated, read and validated."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, fields
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+from pydantic import ConfigDict, Discriminator, Field, Tag, TypeAdapter, ValidationError, model_validator
+from pydantic.dataclasses import dataclass
+
+from calibration.errors import FileError
+from calibration.geometry import Pose
+
+_STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
+
+Positive: TypeAlias = Annotated[float, Field(gt=0, le=1e5)]
+Level: TypeAlias = Annotated[float, Field(ge=0, le=65535)]
+Length: TypeAlias = Annotated[float, Field(ge=-1e5, le=1e5)]
+Angle: TypeAlias = Annotated[float, Field(ge=-360, le=360)]
+Tilt: TypeAlias = Annotated[float, Field(ge=-60, le=60)]
+Point: TypeAlias = tuple[Length, Length, Length]
+Row: TypeAlias = tuple[float, float, float, float]
+Cell: TypeAlias = tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
+_NOWHERE: Point = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT)
+class CameraDesign:
+    """A pinhole with distortion and a sensor."""
+
+    size: tuple[Annotated[int, Field(ge=16, le=8192)], Annotated[int, Field(ge=16, le=8192)]]  # px, columns and rows
+    focal_px: Positive
+    centre_px: tuple[float, float]
+    _: KW_ONLY
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)  # OpenCV order
+    gain_e: Positive = 35.0  # electrons a grey level
+    read_noise: Annotated[float, Field(ge=0, le=1000)] = 1.2  # grey levels
+    blur_px: Annotated[float, Field(ge=0.2, le=20)] = 0.6
+    black: Level = 4.0  # grey levels
+    ambient: Level = 0.0  # grey levels above black in every image that shows the laser
+    bits: Literal[8, 10, 12, 16] = 8
+    colour: bool = False  # three channels: a red laser, white back-light
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT)
+class WindowDesign:
+    """Flat glass before camera and laser."""
+
+    thickness: Annotated[float, Field(gt=0, le=2000)]  # mm
+    index: Annotated[float, Field(gt=1, le=3)]
+    tilt: tuple[Tilt, Tilt] = (0.0, 0.0)  # degrees about x, then about y
+    distance: Annotated[float, Field(ge=0, le=1e5)] = 0.0  # mm along z to the near face
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT)
+class LaserDesign:
+    """A line laser."""
+
+    origin: Point  # mm, in C
+    through: Point  # mm, in C
+    _: KW_ONLY
+    roll: Angle = 0.0  # degrees about its axis; 0 is square to the baseline
+    width: Annotated[float, Field(gt=0, le=20)] = 0.3  # mm, one sigma
+    peak: Annotated[float, Field(gt=0, le=1e6)] | None = (
+        None  # grey levels on white that faces it, before blur; 3/4 of white
+    )
+    fan: Annotated[float, Field(gt=0, le=150)] = 60.0  # degrees, full
+    speckle: Annotated[float, Field(ge=0, le=1)] = 0.0  # contrast after a pixel's integration
+    grain: Annotated[float, Field(ge=0, le=50)] = 1.0  # px, of the speckle
+
+    @model_validator(mode="after")
+    def _aimed(self) -> LaserDesign:
+        if self.origin == self.through:
+            raise ValueError("origin and through are one point; a laser is aimed at another point")
+        return self
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT)
+class JigDesign:
+    """Spot targets at known stand-offs, centred on the view, and the laser on a blank plate at each."""
+
+    stand_offs: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=64)]  # mm along z to the grid's centre
+    rows: Annotated[int, Field(ge=2, le=200)]
+    columns: Annotated[int, Field(ge=2, le=200)]
+    pitch: Positive | tuple[Positive, Positive]  # mm
+    diameter: Positive  # mm
+    _: KW_ONLY
+    kind: Literal["spots"] = "spots"
+    polarity: Literal["light", "dark"] = "light"
+    fiducials: tuple[Cell, ...] = ()
+    fiducial_diameter: Positive | None = None  # mm
+    rotation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)  # degrees, rotation vector of every plane
+    bright: Annotated[float, Field(gt=0, le=65535)] | None = None  # grey levels above black; 7/10 of white
+    dark: Level | None = None  # grey levels above black; 1/20 of white
+    uneven: Annotated[float, Field(ge=0, le=1)] = 0.0  # light lost at the corners, as a part of one
+    images: Annotated[int, Field(ge=1, le=100)] = 3  # repeats of each target
+    laser_images: Annotated[int, Field(ge=1, le=100)] = 2
+
+    @property
+    def pitches(self) -> tuple[float, float]:
+        """Pitch along x and y, mm."""
+        return self.pitch if isinstance(self.pitch, tuple) else (self.pitch, self.pitch)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the planes: w and the stand-off."""
+        return tuple(f"w{z:g}" for z in self.stand_offs)
+
+    @model_validator(mode="after")
+    def _possible(self) -> JigDesign:
+        largest = max(self.diameter, self.fiducial_diameter or 0.0)
+        if largest >= min(self.pitches):
+            raise ValueError(
+                f"spots of {largest:g} mm overlap at a pitch of {min(self.pitches):g} mm; make them smaller"
+            )
+        if bool(self.fiducials) != (self.fiducial_diameter is not None):
+            raise ValueError("fiducials and fiducial_diameter come together; give both or neither")
+        if any(row >= self.rows or column >= self.columns for row, column in self.fiducials):
+            raise ValueError(f"a fiducial lies outside {self.rows} rows and {self.columns} columns counted from 0")
+        if len(set(self.names)) < len(self.stand_offs):
+            raise ValueError("two stand_offs are the same; give each once")
+        return self
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT)
+class FaultDesign:
+    """What is wrong with one plane, of which calibration.toml knows nothing."""
+
+    plane: str
+    _: KW_ONLY
+    rotation: Angle = 0.0  # degrees about the grid's normal
+    about: tuple[Length, Length] | None = None  # mm in the target's frame; the grid's centre
+    slip: tuple[Length, Length] = (0.0, 0.0)  # mm along the target's x and y
+    stand_off: Length = 0.0  # mm further away than stated
+    tilt: tuple[Tilt, Tilt] = (0.0, 0.0)  # degrees about the target's x, then y, at the grid's centre
+    pitch: Annotated[float, Field(gt=0.5, lt=2)] = 1.0  # factor, about the grid's centre
+    missing: tuple[Cell, ...] = ()
+    dirt: Annotated[int, Field(ge=0, le=10000)] = 0  # specks, half a spot to a spot wide, anywhere on the grid
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT, kw_only=True)
+class Placement:
+    """Where an object stands at position 0 of the motion: ``pose``, or ``origin`` and ``rotation``."""
+
+    pose: tuple[Row, Row, Row, Row] | None = None  # C from model, mm
+    origin: Point = _NOWHERE  # mm: x_C = origin + R x_model
+    rotation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)  # degrees, rotation vector
+    albedo: Annotated[float, Field(ge=0, le=10)] = 1.0
+
+    @model_validator(mode="after")
+    def _rigid(self) -> Placement:
+        if self.pose is not None:
+            if self.origin != _NOWHERE or self.rotation != _NOWHERE:
+                raise ValueError("pose and origin or rotation are both given; give one of them")
+            Pose.from_matrix(self.pose)  # its ValueError is this key's
+        return self
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT, kw_only=True)
+class PlaneDesign(Placement):
+    """The plane z = 0, or a rectangle of it about the origin."""
+
+    solid: Literal["plane"] = "plane"
+    size: tuple[Positive, Positive] | None = None  # mm
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT, kw_only=True)
+class SphereDesign(Placement):
+    """A sphere about the origin."""
+
+    radius: Positive  # mm
+    solid: Literal["sphere"] = "sphere"
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT, kw_only=True)
+class CylinderDesign(Placement):
+    """A cylinder about z, centred on the origin."""
+
+    radius: Positive  # mm
+    length: Positive  # mm
+    solid: Literal["cylinder"] = "cylinder"
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT, kw_only=True)
+class BoxDesign(Placement):
+    """A box centred on the origin."""
+
+    size: tuple[Positive, Positive, Positive]  # mm
+    solid: Literal["box"] = "box"
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT, kw_only=True)
+class StepsDesign(Placement):
+    """Blocks in a row along x from x = 0, each from z = -base to its height; y from 0."""
+
+    heights: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=100)]  # mm
+    tread: tuple[Positive, Positive]  # mm along x and y
+    gap: Annotated[float, Field(ge=0, le=1e5)] = 0.0  # mm between blocks
+    base: Positive = 1.0  # mm
+    solid: Literal["steps"] = "steps"
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT, kw_only=True)
+class RoughDesign(Placement):
+    """A coupon from (0, 0) whose top has Gaussian heights about z = 0."""
+
+    size: tuple[Positive, Positive]  # mm
+    Sq: Positive  # mm, of the realised heights, exactly
+    correlation: Positive  # mm: autocorrelation exp(-(r / correlation)^2)
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    thickness: Positive = 1.0  # mm of solid below the lowest valley
+    solid: Literal["rough"] = "rough"
+
+    @model_validator(mode="after")
+    def _bounded(self) -> RoughDesign:
+        cells = self.size[0] * self.size[1] * (10.0 / self.correlation) ** 2
+        if cells > 2e7:
+            raise ValueError(
+                f"{cells:.3g} height samples; at most 2e7: make the coupon smaller or the correlation longer"
+            )
+        return self
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT, kw_only=True)
+class MeshDesign(Placement):
+    """A mesh file, mm."""
+
+    mesh: str
+
+
+def _kind(value: object) -> str:
+    """Which of the objects a table is meant to be."""
+    if isinstance(value, Mapping):
+        return "mesh" if "mesh" in value else str(value.get("solid"))
+    return "mesh" if isinstance(value, MeshDesign) else str(getattr(value, "solid", None))
+
+
+_OBJECTS: dict[str, type[Any]] = {
+    "plane": PlaneDesign,
+    "sphere": SphereDesign,
+    "cylinder": CylinderDesign,
+    "box": BoxDesign,
+    "steps": StepsDesign,
+    "rough": RoughDesign,
+    "mesh": MeshDesign,
+}
+ObjectDesign: TypeAlias = Annotated[
+    Annotated[PlaneDesign, Tag("plane")]
+    | Annotated[SphereDesign, Tag("sphere")]
+    | Annotated[CylinderDesign, Tag("cylinder")]
+    | Annotated[BoxDesign, Tag("box")]
+    | Annotated[StepsDesign, Tag("steps")]
+    | Annotated[RoughDesign, Tag("rough")]
+    | Annotated[MeshDesign, Tag("mesh")],
+    Discriminator(_kind),
+]
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT)
+class MotionDesign:
+    """How the object, or the sensor, moves from frame to frame; keys as in capture.toml."""
+
+    kind: Literal["fixed", "linear", "turntable"] = "fixed"
+    _: KW_ONLY
+    frames: Annotated[int, Field(ge=1, le=20000)] = 1
+    moves: Literal["object", "sensor"] = "object"
+    direction: Point | None = None  # linear, in C
+    axis_point: Point | None = None  # turntable, mm in C
+    axis_direction: Point | None = None
+    step: Length | None = None  # mm or degrees a frame
+    start: Length = 0.0  # mm or degrees
+    off_images: Annotated[int, Field(ge=0, le=1000)] = 0  # images without laser, for capture's `background`
+
+    @model_validator(mode="after")
+    def _complete(self) -> MotionDesign:
+        needed = {"fixed": (), "linear": ("direction", "step"), "turntable": ("axis_point", "axis_direction", "step")}
+        given = {k for k in ("direction", "axis_point", "axis_direction", "step") if getattr(self, k) is not None}
+        if given != set(needed[self.kind]):
+            raise ValueError(f"a {self.kind} motion takes {list(needed[self.kind])}, not {sorted(given)}")
+        for key in ("direction", "axis_direction"):
+            if getattr(self, key) == _NOWHERE:
+                raise ValueError(f"{key} is zero; give a vector with a length")
+        return self
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT)
+class RigDesign:
+    """A whole rig and one scan by it."""
+
+    camera: CameraDesign
+    laser: LaserDesign
+    jig: JigDesign
+    _: KW_ONLY
+    format: Literal[1] = 1
+    units: Literal["mm"] = "mm"
+    window: WindowDesign | None = None
+    objects: Annotated[tuple[ObjectDesign, ...], Field(max_length=200, validation_alias="object")] = ()
+    faults: Annotated[tuple[FaultDesign, ...], Field(max_length=200, validation_alias="fault")] = ()
+    motion: MotionDesign | None = None
+
+    @model_validator(mode="after")
+    def _joined(self) -> RigDesign:
+        for fault in self.faults:
+            if fault.plane not in self.jig.names:
+                raise ValueError(f"a fault names plane {fault.plane!r}; the planes are {list(self.jig.names)}")
+            if any(row >= self.jig.rows or column >= self.jig.columns for row, column in fault.missing):
+                raise ValueError(f"a missing spot of plane {fault.plane!r} lies outside the grid")
+        if bool(self.objects) != (self.motion is not None):
+            raise ValueError("[object] and [motion] come together: a scan needs both, a mere calibration neither")
+        return self
+
+
+_TABLES: dict[str, type[Any]] = {
+    "camera": CameraDesign,
+    "window": WindowDesign,
+    "laser": LaserDesign,
+    "jig": JigDesign,
+    "fault": FaultDesign,
+    "motion": MotionDesign,
+}
+
+
+def read_design(path: str | Path) -> RigDesign:
+    """Read and validate a rig-design.toml; a mesh it names is looked for beside it.
+
+    Raises
+    ------
+    FileError
+        A file that is missing, no TOML, or has an unknown key, a wrong type or an impossible value: file, key, what
+        was found, what is allowed.
+    """
+    path = Path(path)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise FileError(f"{path}: no such file; name a rig-design.toml") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(f"{path}: could not be read ({error}); needed is a text file in UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"{path}: no valid TOML ({error}); correct it there") from error
+    for key in ("object", "fault"):  # one table, or an array of them
+        if isinstance(data.get(key), dict):
+            data[key] = [data[key]]
+    for item in data.get("object", []) if isinstance(data.get("object"), list) else []:
+        if isinstance(item, dict) and isinstance(item.get("mesh"), str):
+            item["mesh"] = str(path.parent / item["mesh"])
+    try:
+        # by way of JSON, whose arrays may become tuples although types are strict
+        return TypeAdapter(RigDesign).validate_json(json.dumps(data, default=str))
+    except ValidationError as error:
+        raise FileError(f"{path}: {_first_fault(error)}") from error
+
+
+def _first_fault(error: ValidationError) -> str:
+    """One line about the first thing that is wrong: key, what was found, what is allowed."""
+    first = error.errors(include_url=False)[0]
+    place = [part for k, part in enumerate(first["loc"]) if not (k == 2 and first["loc"][0] == "object")]
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".") or "the file"
+    found = json.dumps(first["input"], default=str)
+    found = found if len(found) <= 60 else found[:57] + "..."
+    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f"{key}: unknown key (found {found}); allowed here: {', '.join(_allowed(first['loc']))}"
+    if first["type"] == "missing":
+        return f"{key}: missing; it must be given"
+    if first["type"].startswith("union_tag"):
+        return f"{key}: neither a mesh nor a known solid; allowed: mesh, or solid = X"
+    message = first["msg"].removeprefix("Value error, ")
+    return f"{key}: {message}" if first["type"] == "value_error" else f"{key}: found {found}; {message}"
+
+
+def _allowed(place: tuple[int | str, ...]) -> list[str]:
+    """Keys of the table in which ``place`` stands."""
+    if len(place) == 1:
+        return ["format", "units", *_TABLES, "object"]
+    table = _OBJECTS.get(str(place[2])) if place[0] == "object" and len(place) > 2 else _TABLES.get(str(place[0]))
+    return [] if table is None else [f.name for f in fields(table) if f.name != "_"]

@@ -1,0 +1,129 @@
+"""A scan in words, tables and pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ranging.background import choose_channel, to_gray
+from scope import pictures
+from scope.capture import read_capture
+from scope.images import read_image
+from scope.page import Page
+from scope.scanning import Scan
+
+_WHY = {
+    "no_light": "no peak clear of the noise: nothing there, too dark, or in shadow",
+    "too_narrow": "a hot pixel or a glint, not a stripe",
+    "too_wide": "a halo, a grazing or a scattered stripe",
+    "saturated": "clipped over its whole width: expose shorter",
+    "two_peaks": "two stripes of like strength: a reflection; choose which with the stripe options",
+    "edge": "half a stripe, at an occlusion or an edge",
+    "out_of_view": "cut by the border of the image",
+    "outside_calibration": "outside the calibrated volume: calibrate further, or --extrapolate",
+    "shallow": "the ray nearly runs within the sheet of light",
+    "uncertain": "sigma above --max-sigma",
+}
+
+
+def scan_result(found: Scan) -> dict[str, Any]:
+    """What --json gives."""
+    return {
+        "frames": found.frames,
+        "points": len(found.cloud),
+        "empty_frames": found.empty_frames,
+        "rejected": dict(found.rejected),
+        "seconds": round(found.seconds, 3),
+        "sigma_mm": found.sigma_mm,
+        "sigma_cal_mm": float(np.median(found.cloud.sigma_cal)) if len(found.cloud) else None,
+        "complete": found.cloud.complete,
+        "verified": found.cloud.verified,
+        "why_incomplete": found.why_incomplete,
+    }
+
+
+def scan_text(found: Scan) -> str:
+    """What a person reads on the terminal."""
+    result = scan_result(found)
+    rejected = (
+        ", ".join(f"{count} {reason}" for reason, count in sorted(found.rejected.items(), key=lambda kv: -kv[1]))
+        or "none"
+    )
+    return (
+        f"{result['points']} points from {result['frames']} frames in {found.seconds:.1f} s; median sigma {found.sigma_mm:.4f} mm, of "
+        f"the calibration {result['sigma_cal_mm'] or float('nan'):.4f} mm\nlines without a point: {rejected}"
+        + (f"\nframes without any point: {found.empty_frames}" if found.empty_frames else "")
+    )
+
+
+def scan_page(found: Scan, capture: str | Path) -> str:
+    """One self-contained HTML page: the cloud to be turned, the reasons, sigma, and the hardest frames."""
+    page, cloud = Page(f"SCOPE scan of {Path(capture).name}"), found.cloud
+    level, text = (
+        ("good", "Complete, from a verified rig")
+        if cloud.verified
+        else ("bad", "The rig is not verified: do not use this cloud")
+    )
+    if found.why_incomplete:
+        level, text = "warn" if cloud.verified else "bad", f"Incomplete: {found.why_incomplete}"
+    page.verdict(level, f"{text}: {len(cloud)} points from {found.frames} frames.")  # type: ignore[arg-type]
+    page.cloud(
+        cloud.points, cloud.points[:, 2], "The cloud, coloured by z. Drag to turn, wheel to zoom, shift-drag to move"
+    )
+    add_views(page, found)
+    page.heading("Lines of the images without a point, and why")
+    rows = [
+        [key, str(count), _WHY.get(key, "")] for key, count in sorted(found.rejected.items(), key=lambda kv: -kv[1])
+    ]
+    page.table(("reason", "lines", "what it means"), rows)
+    page.heading("Uncertainty")
+    quantiles = [10, 50, 90, 99]
+    page.table(("mm along the ray", *(f"{q} %" for q in quantiles)), [
+        ["sigma: stripe noise, independent from point to point", *(f"{x:.4f}" for x in np.percentile(cloud.sigma, quantiles))],
+        ["sigma_cal: calibration, shared", *(f"{x:.4f}" for x in np.percentile(cloud.sigma_cal, quantiles))],
+    ])  # fmt: skip
+    _add_hard_frames(page, found, Path(capture))
+    return page.html()
+
+
+def add_views(page: Page, found: Scan) -> None:
+    """Pictures of the cloud from above and from the side, the camera's side up, and of its sigma."""
+    x, y, z = np.eye(3)
+    cloud = found.cloud
+    height = np.median(cloud.points[:, 2])
+    above = cloud.sensors is not None and float(np.median(cloud.sensors.centre[:, 2])) > height
+    down = -z if above else z
+    page.image(
+        pictures.cloud_from(cloud.points, cloud.points[:, 2], x, -y if above else y),
+        "from the camera's side, coloured by z",
+        width=430,
+    )
+    page.image(
+        pictures.cloud_from(cloud.points, cloud.intensity.astype(np.float64), x, down),
+        "from the side, the camera above, coloured by brightness",
+        width=430,
+    )
+    page.image(
+        pictures.cloud_from(cloud.points, cloud.sigma.astype(np.float64), x, -y if above else y),
+        "sigma: dark is certain, light is not",
+        width=430,
+    )
+
+
+def _add_hard_frames(page: Page, found: Scan, capture: Path) -> None:
+    """Show the frames with the fewest points beside their neighbours, with the stripe drawn on them."""
+    plan = read_capture(capture)
+    images = plan.images[::2] if plan.background_mode == "alternate" else plan.images
+    if not images:
+        return
+    numbers = np.arange(len(images)) if plan.numbers is None else np.array(plan.numbers)
+    count = np.array([int((found.cloud.frame == n).sum()) for n in numbers])
+    page.heading("Hardest frames (fewest points), and a typical one")
+    chosen = [*np.argsort(count, kind="stable")[:3].tolist(), int(np.argsort(count)[len(count) // 2])]
+    for k in dict.fromkeys(chosen):
+        image = read_image(images[k])
+        shown = to_gray(image, choose_channel([image], plan.channel))
+        pixels = found.cloud.pixels[found.cloud.frame == numbers[k]].astype(np.float64)
+        page.image(pictures.with_stripe(shown, pixels), f"{images[k].name}: {count[k]} points", width=430)

@@ -1,0 +1,340 @@
+"""capture.toml and a rig to a cloud: the stages of ranging joined."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from calibration.camera import centre_of
+from calibration.errors import FileError, ScopeError
+from calibration.geometry import Array, Codes
+from calibration.laser import Laser
+from calibration.reason import Reason
+from calibration.rig import Rig
+from ranging.background import Channel, choose_channel, mean_image, to_gray
+from ranging.errors import RangingError
+from ranging.motion import Linear, Motion, Turntable
+from ranging.stripe import Stripe, StripeOptions, extract
+from ranging.triangulation import triangulate
+from scope.capture import Capture, StageUse, read_capture
+from scope.cloud import ScanCloud, Sensors, quaternion_from_rotation
+from scope.frames import Frame, Source, Stream, first_images, in_order, open_source
+from scope.images import Image, read_alike, shape_text
+
+CHUNK = 16  # frames ranged at once
+Tick = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanOptions:
+    """What a scan may be asked for."""
+
+    stripe: StripeOptions = field(default_factory=StripeOptions)
+    extrapolate: float = 0.0  # mm outside the calibrated volume that are still ranged
+    max_sigma: float | None = None  # mm; points less certain than this are rejected
+    normals: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chunk:
+    """What a run of frames gave."""
+
+    first: int  # position of the first frame in the capture
+    frames: int
+    cloud: ScanCloud  # without sensors
+    rejected: Counter[str]
+    empty: int  # frames without a single point
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """A cloud and how it came about."""
+
+    cloud: ScanCloud
+    frames: int
+    empty_frames: int
+    rejected: Mapping[str, int]  # reason: image lines without a point
+    seconds: float
+    why_incomplete: str  # empty where complete
+
+    @property
+    def sigma_mm(self) -> float:
+        """Median sigma of the points, mm; NaN for an empty cloud."""
+        return float(np.median(self.cloud.sigma)) if len(self.cloud) else float("nan")
+
+
+def _no_tick(_done: int, _total: int) -> None:
+    return None
+
+
+def scan(capture: str | Path, rig: Rig | str | Path, *, options: ScanOptions | None = None) -> ScanCloud:
+    """Range every frame of a capture; see `run_scan` for the cloud with its bookkeeping."""
+    return run_scan(capture, rig, options=options).cloud
+
+
+def run_scan(
+    capture: str | Path,
+    rig: Rig | str | Path,
+    *,
+    options: ScanOptions | None = None,
+    on_frame: Tick = _no_tick,
+    done: list[Chunk] | None = None,
+    on_chunk: Callable[[Chunk], None] | None = None,
+) -> Scan:
+    """Range every frame of a capture.
+
+    Parameters
+    ----------
+    capture, rig : path, and Rig or path
+        The capture file and the calibrated rig.
+    options : ScanOptions
+        Defaults range within the calibrated volume and reject nothing by sigma.
+    on_frame : callable
+        Called with (done, total) after each frame; total is 0 where nobody knows it.
+    done : list of Chunk, optional
+        Chunks of an interrupted scan: ranging goes on after their last frame.
+    on_chunk : callable, optional
+        Called with each new chunk, so that what was found can be kept.
+
+    Returns
+    -------
+    Scan
+        Incomplete where the source broke off or the user interrupted; what was found until then is kept.
+
+    Raises
+    ------
+    FileError, RangingError
+        Files that do not fit the rig, or no stripe in any frame.
+    """
+    started = time.perf_counter()
+    options = options or ScanOptions()
+    rig = rig if isinstance(rig, Rig) else Rig.load(rig)
+    plan = _Plan.of(read_capture(Path(capture)), rig, options)
+    chunks = list(done or [])
+    why = ""
+    try:
+        for chunk in plan.chunks(sum(chunk.frames for chunk in chunks), on_frame):
+            chunks.append(chunk)
+            if on_chunk is not None:
+                on_chunk(chunk)
+    except KeyboardInterrupt:
+        why = f"interrupted after {sum(chunk.frames for chunk in chunks)} frames"
+    if isinstance(plan.source, Stream) and plan.source.broken:
+        why = plan.source.broken
+    return plan.finish(chunks, why, time.perf_counter() - started)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plan:
+    capture: Capture
+    rig: Rig
+    options: ScanOptions
+    lasers: tuple[Laser, ...]
+    channels: tuple[Channel, ...]
+    darks: tuple[Image | None, ...]  # mean background of each laser's channel
+    motion: Motion
+    source: Source
+    centre: Array  # (3,) camera centre in C
+
+    @classmethod
+    def of(cls, capture: Capture, rig: Rig, options: ScanOptions) -> _Plan:
+        if capture.camera_id and rig.camera_id and capture.camera_id != rig.camera_id:
+            raise FileError(
+                f"{capture.path}: camera_id {capture.camera_id!r}, the rig is of {rig.camera_id!r}; use the rig of this camera"
+            )
+        lasers = _lasers(capture, rig)
+        sample = first_images(capture, 5)
+        for image in sample:
+            _check_size(image, capture, rig)
+        has_dark = capture.background_mode != "none"
+        channels = tuple(_channel(capture, laser, sample, has_dark) for laser in lasers)
+        darks: tuple[Image | None, ...] = (None,) * len(lasers)
+        if capture.background_mode == "mean":
+            images = read_alike(capture.background, "the background")
+            _check_size(images[0], capture, rig)
+            darks = tuple(mean_image([to_gray(image, channel) for image in images]) for channel in channels)
+        motion = _motion(capture, rig)
+        width, height = rig.camera.size
+        u, v = np.meshgrid(np.linspace(0.1, 0.9, 9) * width, np.linspace(0.1, 0.9, 9) * height)
+        centre = centre_of(rig.camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)))
+        return cls(capture, rig, options, lasers, channels, darks, motion, open_source(capture), centre)
+
+    def chunks(self, first: int, on_frame: Tick) -> Iterator[Chunk]:
+        """Ranged runs of frames, in order."""
+        total = self.source.count or 0
+        waiting: list[tuple[int, list[tuple[int, Stripe]]]] = []
+        begun = first
+        for number, stripes in in_order(self.source, self._extract, first=first):
+            waiting.append((number, stripes))
+            on_frame(begun + len(waiting), total)
+            if len(waiting) == CHUNK:
+                yield self._range(begun, waiting)
+                begun, waiting = begun + len(waiting), []
+        if waiting:
+            yield self._range(begun, waiting)
+
+    def _extract(self, frame: Frame) -> tuple[int, list[tuple[int, Stripe]]]:
+        """Stripes of one frame, by laser; runs in a thread."""
+        _check_size(frame.image, self.capture, self.rig, frame.name)
+        shown = range(len(self.lasers))
+        if self.capture.sequence == "cycle":
+            shown = range(frame.number % len(self.lasers), frame.number % len(self.lasers) + 1)
+        found = []
+        for k in shown:
+            image = to_gray(frame.image, self.channels[k])
+            dark = self.darks[k] if frame.background is None else to_gray(frame.background, self.channels[k])
+            along = self.lasers[k].along
+            try:
+                stripe = extract(image, along=along, options=self.options.stripe, background=dark)  # type: ignore[arg-type]
+            except ScopeError as error:
+                raise RangingError(f"{frame.name}: {error}") from error
+            found.append((k, stripe))
+        return frame.number, found
+
+    def _range(self, first: int, frames: list[tuple[int, list[tuple[int, Stripe]]]]) -> Chunk:
+        parts: list[ScanCloud] = []
+        rejected: Counter[str] = Counter()
+        with_points: set[int] = set()
+        for k, laser in enumerate(self.lasers):
+            shown = [(number, stripe) for number, stripes in frames for index, stripe in stripes if index == k]
+            if shown:
+                part, counts = self._range_laser(k, laser, shown)
+                rejected += counts
+                with_points |= set(np.unique(part.frame).tolist())
+                parts.append(part)
+        cloud = _joined(parts)
+        empty = len({number for number, _ in frames} - with_points)
+        return Chunk(first, len(frames), cloud, rejected, empty)
+
+    def _range_laser(self, k: int, laser: Laser, shown: list[tuple[int, Stripe]]) -> tuple[ScanCloud, Counter[str]]:
+        pixels = np.concatenate([stripe.pixels for _, stripe in shown])
+        sigma_px = np.concatenate([stripe.sigma for _, stripe in shown])
+        reason: Codes = np.concatenate([stripe.reason for _, stripe in shown])
+        across = 1 if laser.along == "rows" else 0
+        found = triangulate(self.rig.camera, laser, pixels, sigma_px, across, extrapolate=self.options.extrapolate)
+        reason = np.where(reason == Reason.RANGED, found.reason, reason)
+        if self.options.max_sigma is not None:
+            reason[(reason == Reason.RANGED) & ~(found.sigma <= self.options.max_sigma)] = Reason.UNCERTAIN
+        keep = reason == Reason.RANGED
+        lengths = [len(stripe.position) for _, stripe in shown]
+        numbers = np.repeat(np.array([number for number, _ in shown], dtype=np.int32), lengths)
+        points = found.points
+        for (number, _), end, length in zip(shown, np.cumsum(lengths), lengths, strict=True):
+            rows = slice(end - length, end)
+            points[rows] = self.motion.cloud_from_c(number).apply(points[rows])
+        counts = Counter(
+            {
+                Reason(int(code)).key: int(n)
+                for code, n in zip(*np.unique(reason[~keep], return_counts=True), strict=True)
+            }
+        )
+        peak = np.concatenate([stripe.peak for _, stripe in shown])
+        cloud = ScanCloud(
+            points=points[keep],
+            intensity=peak[keep].astype(np.float32),
+            sigma=found.sigma[keep].astype(np.float32),
+            sigma_cal=found.sigma_cal[keep].astype(np.float32),
+            pixels=pixels[keep].astype(np.float32),
+            frame=numbers[keep],
+            laser=np.full(int(keep.sum()), k, dtype=np.uint8),
+        )
+        return cloud, counts
+
+    def finish(self, chunks: list[Chunk], why: str, seconds: float) -> Scan:
+        """Join the chunks; ``RangingError`` where no frame gave a point."""
+        rejected: Counter[str] = sum((chunk.rejected for chunk in chunks), Counter())
+        frames = sum(chunk.frames for chunk in chunks)
+        cloud = _joined([chunk.cloud for chunk in chunks])
+        if frames and len(cloud) == 0:
+            reasons = ", ".join(f"{count} {reason}" for reason, count in rejected.most_common(3))
+            raise RangingError(
+                f"{self.capture.path}: no point in any of {frames} frames (lines without a point: {reasons}); check that the laser "
+                "is on, `channel`, exposure, and that the object is inside the calibrated volume (--extrapolate ranges outside)"
+            )
+        cloud = replace(
+            cloud,
+            sensors=self._sensors(sorted({int(n) for n in np.unique(cloud.frame)})),
+            laser_names=tuple(laser.name for laser in self.lasers),
+            rig_sha256=self.rig.sha256,
+            verified=self.rig.verification.passed,
+            complete=not why,
+            camera_centre=self.centre,
+        )
+        if self.options.normals:
+            from scope.normals import lattice_normals
+
+            cloud = replace(cloud, normals=lattice_normals(cloud))
+        return Scan(cloud, frames, sum(chunk.empty for chunk in chunks), dict(rejected), seconds, why)
+
+    def _sensors(self, frames: list[int]) -> Sensors:
+        rows = [(n, k) for n in frames for k in range(len(self.lasers))]
+        poses = {n: self.motion.cloud_from_c(n) for n in frames}
+        return Sensors(
+            frame=np.array([n for n, _ in rows], dtype=np.int32),
+            laser=np.array([k for _, k in rows], dtype=np.uint8),
+            centre=np.array([poses[n].apply(self.centre) for n, _ in rows]).reshape(-1, 3),
+            rotation=np.array([quaternion_from_rotation(poses[n].rotation) for n, _ in rows]).reshape(-1, 4),
+            laser_origin=np.array([poses[n].apply(self.lasers[k].origin) for n, k in rows]).reshape(-1, 3),
+        )
+
+
+def _joined(parts: list[ScanCloud]) -> ScanCloud:
+    """One cloud in scan order: by frame, then by laser, then along the stripe."""
+    if not parts:
+        return ScanCloud.from_points(np.zeros((0, 3)))
+    whole = ScanCloud(
+        points=np.concatenate([part.points for part in parts]),
+        intensity=np.concatenate([part.intensity for part in parts]),
+        sigma=np.concatenate([part.sigma for part in parts]),
+        sigma_cal=np.concatenate([part.sigma_cal for part in parts]),
+        pixels=np.concatenate([part.pixels for part in parts]),
+        frame=np.concatenate([part.frame for part in parts]),
+        laser=np.concatenate([part.laser for part in parts]),
+    )
+    if len(parts) == 1 or np.all(np.diff(whole.frame.astype(np.int64) * 256 + whole.laser) >= 0):
+        return whole
+    return whole.select(np.lexsort((whole.laser, whole.frame)))
+
+
+def _lasers(capture: Capture, rig: Rig) -> tuple[Laser, ...]:
+    if not rig.lasers:
+        raise FileError(f"{capture.path}: the rig has no laser; calibrate with laser images on its planes")
+    wanted = capture.lasers if capture.lasers is not None else tuple(rig.lasers)
+    for name in wanted:
+        if name not in rig.lasers:
+            raise FileError(f"{capture.path}: lasers names {name!r}; the rig has {', '.join(rig.lasers)}: correct it")
+    return tuple(rig.lasers[name] for name in wanted)
+
+
+def _channel(capture: Capture, laser: Laser, sample: list[Image], has_dark: bool) -> Channel:
+    asked = capture.channel if capture.channel != "auto" else laser.channel.partition("-")[0]
+    return choose_channel(sample, asked, laser_off=has_dark) if sample else asked  # type: ignore[arg-type, return-value]
+
+
+def _check_size(image: Image, capture: Capture, rig: Rig, name: str = "its images") -> None:
+    width, height = rig.camera.size
+    if image.shape[:2] != (height, width):
+        raise FileError(
+            f"{capture.path}: {name}: {shape_text(image)}; the rig was calibrated at {width} x {height} px: use the camera "
+            "settings of the calibration, or the rig of this camera"
+        )
+
+
+def _motion(capture: Capture, rig: Rig) -> Motion:
+    use = capture.motion
+    if not isinstance(use, StageUse):
+        return use
+    for stage in rig.stages:
+        if stage.kind == use.kind:
+            if use.kind == "linear":
+                return Linear(stage.direction, use.positions, use.sign)
+            return Turntable(stage.point, stage.direction, use.positions, use.sign)
+    raise FileError(
+        f"{capture.path}: motion asks for the rig's {use.kind} stage, and the rig has none; add a [[stage]] to "
+        "calibration.toml, or give the direction or axis here"
+    )

@@ -1,0 +1,206 @@
+"""The verdict on a calibration, in numbers and in plain words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calibration.analysis import Interplane, interplane
+from calibration.held_out import HeldOut, held_out
+from calibration.laser import Laser
+from calibration.pinhole import FreehandFit
+from calibration.plane_map import rms
+from calibration.rig import Verification
+from calibration.two_plane import TwoPlaneFit
+from scope.calibration_file import CalibrationPlan
+from scope.find_marks import SeenPlane
+
+NAN = float("nan")
+ADVICE = (
+    "an error that is affine (all stand-offs or the pitch wrong by one factor) is invisible to planes: check a known "
+    "artefact with scope check"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """What goes into the rig and what --json gives."""
+
+    verification: Verification
+    content: dict[str, Any]
+    interplane: Interplane | None = None
+    held_out: tuple[HeldOut, ...] = ()
+
+
+def judge_jig(plan: CalibrationPlan, seen: list[SeenPlane], fit: TwoPlaneFit, lasers: dict[str, Laser]) -> Verdict:
+    """Judge a calibration on known stand-offs: faults, held-out planes, and the limits of [accept]."""
+    held = held_out(fit, model=fit.camera.model)
+    agreement = interplane(fit.camera)
+    of_plane = {h.name: h for h in held}
+    rows = []
+    for s in seen:
+        k = next((i for i, m in enumerate(fit.marks) if m.name == s.plan.name), None)
+        if k is None:
+            rows.append(_row(s))
+            continue
+        plane = fit.planes[k]
+        out = of_plane.get(s.plan.name)
+        rows.append(
+            _row(
+                s,
+                used=len(fit.marks[k]),
+                fit_px=plane.fit_px,
+                fit_px_mean=plane.fit_px_mean,
+                loo_px=plane.loo_px,
+                loo_mm=plane.loo_mm,
+                heldout_mm=NAN if out is None else out.rms_mm,
+            )
+        )
+    faults = _moved(seen)
+    between = [h.rms_mm for h in held if h.between]
+    ray_mm = float(np.sqrt(np.mean(np.square(between)))) if between else NAN
+    content = {"ray_mm": ray_mm, "order": fit.planes[0].map.terms, "model": fit.camera.model}
+    verdict = _verdict(
+        plan, seen, rows, lasers, agreement.interplane_px, faults, ray_mm, content, planes=len(fit.marks)
+    )
+    return Verdict(verdict.verification, verdict.content, agreement, held)
+
+
+def judge_freehand(plan: CalibrationPlan, seen: list[SeenPlane], fit: FreehandFit, lasers: dict[str, Laser]) -> Verdict:
+    """Judge a calibration from views held by hand."""
+    rows = []
+    for s in seen:
+        k = next((i for i, m in enumerate(fit.views) if m.name == s.plan.name), None)
+        rows.append(_row(s) if k is None else _row(s, used=len(fit.views[k]), fit_px=rms(fit.residuals[k])))
+    content = {
+        "model": "pinhole",
+        "fit_px": fit.fit_px,
+        "dropped": [{"name": name, "reason": reason} for name, reason in fit.dropped],
+    }
+    return _verdict(plan, seen, rows, lasers, NAN, _moved(seen), NAN, content, planes=0)
+
+
+def _row(seen: SeenPlane, **figures: float) -> dict[str, Any]:
+    names = ("used", "fit_px", "fit_px_mean", "loo_px", "loo_mm", "heldout_mm")
+    return {
+        "name": seen.plan.name,
+        "found": seen.found,
+        "repeat_px": seen.repeat_px,
+        **{name: figures.get(name, 0 if name == "used" else NAN) for name in names},
+    }
+
+
+def _moved(seen: list[SeenPlane]) -> list[dict[str, Any]]:
+    """Return a fault ``moved`` for every plane whose marks shift between repeats by more than their noise explains."""
+    faults = []
+    for s in seen:
+        if s.repeat_px > 0.01 + 6 * np.nan_to_num(s.repeat_noise_px):
+            faults.append(
+                {
+                    "plane": s.plan.name,
+                    "kind": "moved",
+                    "value": s.repeat_px,
+                    "standard_error": s.repeat_noise_px,
+                    "unit": "px",
+                    "or": [],
+                    "remedy": "target or camera moved between the repeats: fix both and take the images of this plane again",
+                }
+            )
+    return faults
+
+
+def _verdict(
+    plan: CalibrationPlan,
+    seen: list[SeenPlane],
+    rows: list[dict[str, Any]],
+    lasers: dict[str, Laser],
+    interplane_px: float,
+    faults: list[dict[str, Any]],
+    ray_mm: float,
+    content: dict[str, Any],
+    *,
+    planes: int,
+) -> Verdict:
+    failed = [describe_fault(fault) for fault in faults]
+    failed += _beyond(plan, seen, lasers, ray_mm)
+    passed = not failed
+    why = "; ".join(failed) if failed else _praise(plan, planes)
+    content = {
+        "passed": passed,
+        "why": why,
+        "planes": rows,
+        "interplane_px": interplane_px,
+        "faults": faults,
+        "lasers": {name: laser_content(laser) for name, laser in lasers.items()},
+        **content,
+    }
+    return Verdict(Verification(passed, why, tuple(faults), tuple(rows), interplane_px), content)
+
+
+def describe_fault(fault: dict[str, Any]) -> str:
+    """One fault in one clause: plane, kind, size, remedy."""
+    size = f"{fault['value']:.3g}"
+    if fault["standard_error"] is not None and np.isfinite(fault["standard_error"]):
+        size += f" +- {fault['standard_error']:.1g}"
+    other = f" (or: {', '.join(fault['or'])})" if fault["or"] else ""
+    return f"plane {fault['plane']}: {fault['kind'].replace('_', '-')} {size} {fault['unit']}{other}: {fault['remedy']}"
+
+
+def _beyond(plan: CalibrationPlan, seen: list[SeenPlane], lasers: dict[str, Laser], ray_mm: float) -> list[str]:
+    """Limits of [accept] that do not hold, or could not be tested."""
+    failed = []
+    limit = plan.accept.get("ray_mm")
+    if limit is not None and not np.isfinite(ray_mm):
+        failed.append(
+            "accept.ray_mm cannot be tested: held-out rays need three planes with an origin or more; add a plane"
+        )
+    elif limit is not None and ray_mm > limit:
+        failed.append(
+            f"held-out rays are off by {ray_mm:.4f} mm rms, {limit:g} allowed: add spots or planes, or a higher --order"
+        )
+    limit = plan.accept.get("laser_mm")
+    if limit is not None and not lasers:
+        failed.append("accept.laser_mm cannot be tested: no plane has a laser image; add `laser` to the planes")
+    for name, laser in lasers.items():
+        if limit is not None and not laser.rms_mm <= limit:
+            failed.append(
+                f"laser {name}: its points lie {laser.rms_mm:.4f} mm rms off the sheet, {limit:g} allowed: check exposure, "
+                "background and that nothing moved"
+            )
+    limit = plan.accept.get("repeat_px")
+    for s in seen:
+        if limit is not None and s.repeat_px > limit:
+            failed.append(f"plane {s.plan.name}: marks move by {s.repeat_px:.3f} px between repeats, {limit:g} allowed")
+    return failed
+
+
+def _praise(plan: CalibrationPlan, planes: int) -> str:
+    limits = ", ".join(f"{key} {value:g}" for key, value in plan.accept.items())
+    tested = (
+        f"no faults, and within {limits}"
+        if limits
+        else "no faults; no [accept] limits were given, so only self-consistency was tested"
+    )
+    if planes == 2:
+        tested += "; two planes have no redundancy: a misplaced plane would not show, so a third is advised"
+    return f"{tested}; {ADVICE}"
+
+
+def laser_content(laser: Laser) -> dict[str, Any]:
+    """One laser as --json gives it."""
+    plane = laser.plane
+    return {
+        "normal": plane.normal,
+        "offset": plane.offset,
+        "rms_mm": laser.rms_mm,
+        "loo_mm": laser.loo_mm,
+        "n": laser.n,
+        "flatness_mm": laser.flatness_mm,
+        "flatness_sigma_mm": laser.flatness_sigma,
+        "curved": len(laser.covariance) == 6,
+        "along": laser.along,
+        "channel": laser.channel,
+        "planes": [{"name": p.plane, "n": p.n, "rms_mm": p.rms_mm, "loo_mm": p.loo_mm} for p in laser.planes],
+    }
