@@ -16,6 +16,7 @@ from scope.heightmap_filter import l_filter, least_s_index, s_filter
 from scope.heightmap_form import remove_form
 from scope.heightmap_patch import LEAST_POINTS, patch_heights
 from scope.region import Region
+from scope.roughness_areal import gradient_products
 from scope.roughness_directions import LARGEST_NOISE_SHARE, Told, direction_parameters
 from scope.roughness_estimate import LINEAR, Estimate, Evidence, chance, estimate
 from scope.roughness_noise import SIGMA_TRUST, Noise, predicted_noise, repeat_noise
@@ -37,7 +38,7 @@ class RoughnessOptions:
     form: str = "auto"  # F-operator, see `scope.heightmap_form.remove_form`
     s_filter: float | None = None  # mm, areal S-filter; None: the pitch and the stripe are the only S-filter
     l_filter: float | None = None  # mm, areal L-filter and cut-off of the profiles; None: S-F surface, ISO 21920-3
-    stripe_width: float = math.nan  # mm on the surface; NaN: not known
+    stripe_width: float = math.nan  # mm, one sigma of the stripe's profile on the surface; NaN: not known
     sigma_trust: float = SIGMA_TRUST  # relative standard uncertainty of the points' sigma
     uncertainty: bool = True  # False saves the time of it
     edges: bool = False  # True: a patch that straddles an edge is measured all the same
@@ -129,10 +130,12 @@ def measure_heights(
     if repeat is None:
         known = predicted_noise(formed, trust=options.sigma_trust)
     else:
-        known = repeat_noise(formed, _formed(repeat, options), stripe_width=options.stripe_width)
+        same = replace(options, form=formed.form.split(" ")[0])
+        known = repeat_noise(formed, _formed(repeat, same), stripe_width=options.stripe_width)
     primary, primary_noise = _filtered(formed, known, options.s_filter, None, rng)
     final, final_noise = _filtered(primary, primary_noise, None, options.l_filter, rng)
-    evidence = Evidence.gather(final, final_noise, rng)
+    width = 0.0 if math.isnan(options.stripe_width) else options.stripe_width
+    evidence = Evidence.gather(final, final_noise, rng, stripe_width=width)
     found = estimate(evidence)
     spread = chance(evidence, found) if options.uncertainty else {}
     trust = _trust(evidence, found, final_noise)
@@ -229,11 +232,11 @@ def _areal(
         value, raw = found.clean[key], found.raw[key]
         reason = _withheld(key, found, noise)
         note = ""
-        extra = _model_error(key, found) if noise.source != "unknown" and not reason else 0.0
+        extra = 0.0 if reason else _model_error(key, evidence, found, noise)
         if key in {"Sp", "Sv", "Sz"} and gap_share > 0.01:
             note = "one-sided: the gaps may hide a greater value"
-        elif key in {"Sdq", "Sdr"} and evidence.slope_index > 0.0:
-            note = f"behind an S-filter of {evidence.slope_index:.3g} mm"
+        elif key in {"Sdq", "Sdr"} and evidence.slope_index != (0.0, 0.0):
+            note = f"behind a Gaussian S-filter of {evidence.slope_index[0]:.3g} x {evidence.slope_index[1]:.3g} mm"
         expanded = None
         if spread and not reason and math.isfinite(spread[key]):
             expanded = 2.0 * math.sqrt(spread[key] ** 2 + trust[key] ** 2 + extra**2)
@@ -253,21 +256,31 @@ def _areal(
     return table
 
 
-def _model_error(key: str, found: Estimate) -> float:
-    """Standard uncertainty of scaling a parameter as if surface and noise were Gaussian.
+def _model_error(key: str, evidence: Evidence, found: Estimate, noise: Noise) -> float:
+    """Standard uncertainty of what the corrections take for granted.
 
-    It grows with the excess of the surface over a Gaussian; extremes of noise outnumber those of the surface, so that
-    theirs is half of what scaling took; the material ratios of the core are not corrected, but pulled to a Gaussian's.
+    Scaling takes surface and noise for Gaussian: its error grows with the surface's excess over a Gaussian. Extremes of
+    noise outnumber those of the surface, so that theirs is half of what scaling took; the material ratios of the core
+    are not corrected, but pulled to a Gaussian's. Smoothed slopes lose what twice the smoothing would lose again, and
+    the stripe's width is believed to a quarter.
     """
     clean, raw = found.clean, found.raw
+    if key in {"Sdq", "Sdr"}:
+        return (0.6 if key == "Sdq" else 1.2) * evidence.slope_loss() * clean[key]
+    width = 0.0
+    if key == "Sq" or key in LINEAR:
+        slopes = gradient_products(*evidence.slope_maps, evidence.pitch) - evidence.slope_noise
+        width = 0.25 * evidence.stripe_width**2 * max(float(slopes[0]), 0.0) / clean["Sq"] ** 2 * clean[key]
+    if noise.source == "unknown":
+        return width
     if key in {"Sp", "Sv", "Sz"}:
-        return 0.5 * abs(raw[key] - clean[key])
+        return math.hypot(width, 0.5 * abs(raw[key] - clean[key]))
     if key in {"Smr1", "Smr2"}:
-        return 1.0 - (clean["Sq"] / raw["Sq"]) ** 2
+        return abs(1.0 - (clean["Sq"] / raw["Sq"]) ** 2)
     if key in LINEAR:
         excess = min(1.0, abs(clean["Ssk"]) / 2.0 + abs(clean["Sku"] - 3.0) / 3.0)
-        return (0.02 + 0.5 * excess) * abs(raw[key] - clean[key])
-    return 0.0
+        return math.hypot(width, (0.02 + 0.5 * excess) * abs(raw[key] - clean[key]))
+    return width
 
 
 def _withheld(key: str, found: Estimate, noise: Noise) -> str:
@@ -295,7 +308,7 @@ def _withheld(key: str, found: Estimate, noise: Noise) -> str:
 def _slope_gate(evidence: Evidence, found: Estimate, expanded: float | None) -> str:
     """Why slopes are withheld: decided by noise or by the pitch; empty where they stand."""
     clean, raw = found.clean["Sdq"], found.raw["Sdq"]
-    if evidence.slope_index > 0.0:
+    if evidence.slope_index != (0.0, 0.0):
         if raw > _SLOPE_NOISE * clean:
             return f"noise: the measured Sdq of {raw:.3g} is {raw / clean:.0f} times what noise leaves of it (limit {_SLOPE_NOISE:g})"
         if expanded is not None and math.isinf(expanded):

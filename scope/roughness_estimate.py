@@ -18,7 +18,7 @@ from scope.roughness_texture import Texture, texture
 LINEAR = (
     "Sa", "Sp", "Sv", "Sz", "Sxp", "Sz99", "Sk", "Spk", "Svk", "Vmp", "Vmc", "Vvv", "Vvc",
 )  # fmt: skip
-_QUIET_SLOPES = 0.05  # noise below this share of the slopes' variance needs no smoothing before it is subtracted
+_QUIET_SLOPES = 0.5  # noise below this share of the slopes' variance needs no smoothing before it is subtracted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,25 +31,27 @@ class Evidence:
     noise_variance: float  # mm2, predicted; 0 where there is a repeat, or where the noise is not known
     slope_maps: tuple[Array, Array]  # what slopes are taken of: z and its repeat (or z again), smoothed where needed
     slope_noise: Array  # (2,) variance of the slopes that noise predicts, down and along; 0 with a repeat
-    slope_index: float  # nesting index (mm) of that smoothing, 0 for none
+    slope_index: tuple[float, float]  # nesting index (mm, down and along) of that smoothing, 0 for none
+    stripe_width: float = 0.0  # mm, one sigma of the stripe's profile, down the rows; 0 where it is not known
 
     @classmethod
-    def gather(cls, heights: HeightMap, noise: Noise, rng: np.random.Generator) -> Evidence:
+    def gather(
+        cls, heights: HeightMap, noise: Noise, rng: np.random.Generator, *, stripe_width: float = 0.0
+    ) -> Evidence:
         """Put together a map and its noise (see `Noise`).
 
-        Where noise makes more than 5 % of the slopes' variance they are taken behind a Gaussian S-filter of three
-        pitches, which costs a surface of correlation length 10 pitches 1 % and white noise nine tenths of its slopes.
+        Where noise makes more than half of the slopes' variance they are taken behind a Gaussian S-filter of three
+        pitches, which costs a surface of correlation length 10 pitches 1 % and white noise two thirds of its slopes.
         """
         z, pitch = heights.z, heights.pitch
         variance = 0.0 if math.isnan(noise.floor) else noise.floor**2
         raw = float(gradient_products(z, z, pitch).sum())
         noisy = 2.0 * variance * (pitch[0] ** -2 + pitch[1] ** -2) > _QUIET_SLOPES * raw
-        index = SAMPLES_PER_INDEX * max(pitch) if noisy and not heights.filters else 0.0
+        smoothed = noisy and not heights.filters
+        index = (SAMPLES_PER_INDEX * pitch[0], SAMPLES_PER_INDEX * pitch[1]) if smoothed else (0.0, 0.0)
 
         def smooth(values: Array) -> Array:
-            if index == 0.0:
-                return values
-            return np.where(np.isfinite(values), gaussian(values, pitch, (index, index)).z, np.nan)
+            return _smoothed(values, pitch, index)
 
         first = smooth(z)
         second = first if noise.second is None else smooth(noise.second)
@@ -66,7 +68,19 @@ class Evidence:
             slope_maps=(first, second),
             slope_noise=slope_noise,
             slope_index=index,
+            stripe_width=stripe_width,
         )
+
+    def slope_loss(self) -> float:
+        """By how much of itself Sdq falls when its smoothing is made 1.4 times as long: what the smoothing itself took."""
+        if self.slope_index == (0.0, 0.0):
+            return 0.0
+        first, second = self.slope_maps
+        more = [_smoothed(values, self.pitch, self.slope_index) for values in (first, second)]
+        before = (gradient_products(first, second, self.pitch) - self.slope_noise).sum()
+        # The noise that is left behind twice the smoothing: white noise of slopes falls with its fourth power.
+        after = (gradient_products(more[0], more[1], self.pitch) - self.slope_noise / 4.0).sum()
+        return abs(1.0 - math.sqrt(max(float(after / before), 0.0))) if before > 0.0 else math.inf
 
     def part(self, keep: Bools) -> Evidence:
         """Evidence with the heights outside a mask (rows, columns) turned into gaps."""
@@ -79,6 +93,7 @@ class Evidence:
             slope_maps=(first, first if self.slope_maps[1] is self.slope_maps[0] else second),
             slope_noise=self.slope_noise,
             slope_index=self.slope_index,
+            stripe_width=self.stripe_width,
         )
 
 
@@ -114,7 +129,9 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
     Sq and the slopes by subtraction of variances (or as products of two scans); Ssk and Sku by cumulants, which add
     for independent noise and of which Gaussian noise has none beyond the second; Sal, Str and Std from the
     autocorrelation without its noise peak; the heights and volumes of the material ratio curve scaled by the ratio of
-    Sq, which is exact where surface and noise are both Gaussian. Smr1 and Smr2 stay as they are. ``with_raw`` false
+    Sq, which is exact where surface and noise are both Gaussian. A stripe of known width averages the surface across
+    itself: to the first order that takes width squared times the squared slope across from Sq squared, which is put
+    back. Smr1 and Smr2 stay as they are. ``with_raw`` false
     saves the time of what only the raw values need.
     """
     z, pitch, second = evidence.z, evidence.pitch, evidence.second
@@ -125,19 +142,23 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
         a, b = z[both], second[both]
         common = float(((a - a.mean()) * (b - b.mean())).mean())
         variance = common * raw["Sq"] ** 2 / float(a.var())  # the gaps of the repeat are no reason to change the map
+    first, other = evidence.slope_maps
+    slopes = gradient_products(first, other, pitch) - evidence.slope_noise
+    noise_free = variance
+    variance += evidence.stripe_width**2 * max(float(slopes[0]), 0.0)
     clean = dict(raw)
-    clean["Sq"] = math.sqrt(variance) if variance > 0.0 else math.nan
+    clean["Sq"] = math.sqrt(variance) if noise_free > 0.0 else math.nan
     shrink = clean["Sq"] / raw["Sq"] if raw["Sq"] > 0.0 else math.nan
     for name in LINEAR:
         clean[name] = shrink * raw[name]
     if raw["Sq"] > 0.0:
-        clean["Ssk"] = raw["Ssk"] / shrink**3
-        clean["Sku"] = 3.0 + (raw["Sku"] - 3.0) / shrink**4
+        without = math.sqrt(noise_free) / raw["Sq"] if noise_free > 0.0 else math.nan
+        clean["Ssk"] = raw["Ssk"] / without**3
+        clean["Sku"] = 3.0 + (raw["Sku"] - 3.0) / without**4
     found = texture(z, pitch, second=second, noise_variance=evidence.noise_variance)
     clean |= {"Sal": found.Sal, "Str": found.Str, "Std": found.Std}
-    first, other = evidence.slope_maps
     smoothed = gradient_products(first, first, pitch).sum()
-    surface = (gradient_products(first, other, pitch) - evidence.slope_noise).sum()
+    surface = float(slopes.sum())
     clean["Sdq"] = math.sqrt(surface) if surface > 0.0 else math.nan
     less = math.sqrt(surface / smoothed) if surface > 0.0 and smoothed > 0.0 else math.nan
     clean["Sdr"] = 100.0 * developed_area_ratio(first, pitch, scale=less)
@@ -182,6 +203,13 @@ def chance(evidence: Evidence, estimate_: Estimate, *, tiles: int = 24) -> dict[
         centred = np.angle(turned / turned.mean()) / 2.0
         spread["Std"] = float(np.degrees(np.sqrt((len(turned) - 1) * np.mean(centred**2))))
     return spread
+
+
+def _smoothed(values: Array, pitch: tuple[float, float], index: tuple[float, float]) -> Array:
+    """Values behind a Gaussian of a nesting index, their gaps kept."""
+    if index == (0.0, 0.0):
+        return values
+    return np.where(np.isfinite(values), gaussian(values, pitch, index).z, np.nan)
 
 
 def _distribution(z: Array) -> dict[str, float]:

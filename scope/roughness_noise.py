@@ -33,19 +33,42 @@ class Noise:
 def predicted_noise(heights: HeightMap, *, trust: float = SIGMA_TRUST) -> Noise:
     """Noise from the heights' sigma; ``unknown`` where they carry none.
 
-    A sigma that is wrong by ``trust`` is an error that no amount of points averages out.
+    A sigma that is wrong by ``trust`` is an error that no amount of points averages out. Independent noise also shows in
+    the heights' own scatter from neighbour to neighbour, to which the surface can only add: a sigma beyond that is
+    proved too large, and the scatter is taken instead.
     """
     floor = heights.noise
     if math.isnan(floor):
         return Noise("unknown", math.nan, math.nan)
+    bound, count = neighbour_scatter(heights.z)
+    if count >= 300 and floor > bound * (1.0 + 3.0 / math.sqrt(count)):
+        told = (
+            f"warning: the points' sigma predicts noise of {floor:.3g} mm, more than the {bound:.3g} mm by which "
+            "neighbouring heights scatter; the smaller is used"
+        )
+        return Noise("sigma", bound, trust, notes=(told,))
     return Noise("sigma", floor, trust)
+
+
+def neighbour_scatter(z: Array) -> tuple[float, int]:
+    """Upper bound (mm) on the independent noise of heights (rows, columns) mm, and the differences it rests on.
+
+    Third differences hold 20 times the variance of independent noise, and of a surface smooth over four samples next to
+    nothing. The smaller of both directions; infinite where no four neighbours are known.
+    """
+    best = (math.inf, 0)
+    for axis in (0, 1):
+        third = np.diff(z, n=3, axis=axis)
+        third = third[np.isfinite(third)]
+        if len(third) > 0:
+            best = min(best, (math.sqrt(float(np.mean(third**2)) / 20.0), len(third)))
+    return best
 
 
 def repeat_noise(first: HeightMap, repeat: HeightMap, *, stripe_width: float = math.nan) -> Noise:
     """Noise from a second scan of the same patch, brought onto the lattice of the first.
 
-    What the two have in common is surface, what they have not is noise: its variance is half that of their difference,
-    over the places both saw. Speckle and the phase of the pixels recur in a repeat whose sampling is not displaced by
+    What the two have in common is surface; what the first has beyond that, over the places both saw, is noise. Speckle and the phase of the pixels recur in a repeat whose sampling is not displaced by
     more than the stripe's width; such a floor is temporal noise only and is labelled so. A displacement that the clouds
     do not know of is found by correlation, up to 16 samples.
 
@@ -54,7 +77,8 @@ def repeat_noise(first: HeightMap, repeat: HeightMap, *, stripe_width: float = m
     first, repeat : HeightMap
         Form removed, the same region, with ``points``.
     stripe_width : float
-        One sigma times two of the stripe on the surface, mm; twice the coarser pitch where it is not known.
+        One sigma of the stripe's profile on the surface, mm. Its full width is taken as 2.4 of that, or as twice the
+        coarser pitch where it is not known.
 
     Raises
     ------
@@ -79,18 +103,18 @@ def repeat_noise(first: HeightMap, repeat: HeightMap, *, stripe_width: float = m
             f"the repeat shows another surface, or only noise (correlation {correlation:.2f}, needed "
             f"{_LEAST_CORRELATION:g}); scan the same patch again"
         )
-    difference = (first.z - moved)[both]
+    a, b = first.z[both], moved[both]
+    common = float(((a - a.mean()) * (b - b.mean())).mean())
+    floor = math.sqrt(max(float(a.var()) - common, 0.0))  # not their difference: interpolation calms the repeat
     displacement = float(np.hypot(*((_sampling_offset(first, repeat) + shift) * pitch)))
-    least = 2.0 * max(first.pitch) if math.isnan(stripe_width) else stripe_width
+    least = 2.0 * max(first.pitch) if math.isnan(stripe_width) else 2.4 * stripe_width
     notes = [f"noise from a repeat displaced by {displacement:.3g} mm, correlation {correlation:.3f}"]
     if displacement <= least:
         notes.append(
             f"warning: the repeat is displaced by less than a stripe's width ({least:.3g} mm): speckle and pixel phase "
             "recur in it, so the noise floor is temporal noise only"
         )
-    return Noise(
-        "repeat", float(difference.std() / math.sqrt(2.0)), 0.0, moved, displacement, correlation, tuple(notes)
-    )
+    return Noise("repeat", floor, 0.0, moved, displacement, correlation, tuple(notes))
 
 
 def onto_lattice(first: HeightMap, repeat: HeightMap, *, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
