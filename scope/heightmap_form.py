@@ -13,6 +13,8 @@ from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
 
 HIGHEST_ORDER = 10
+_FORMS = ("auto", "plane", "robust-plane", "sphere", "cylinder", "none")
+_CAUTION = 3.0  # times Schwarz's penalty
 _FIT_POINTS = 50_000  # a form has few parameters: more points than this only cost time
 
 
@@ -63,8 +65,16 @@ def remove_form(heights: HeightMap, name: str = "auto") -> HeightMap:
     return heights.with_heights(z, form=label, notes=notes)
 
 
+def require_form(name: str) -> None:
+    """``ValueError`` unless ``name`` is a form that `remove_form` knows."""
+    order = name[4:] if name.startswith("poly") else ""
+    if name not in _FORMS and not (order.isdigit() and 2 <= int(order) <= HIGHEST_ORDER):
+        raise ValueError(f"form {name!r} is not known: {', '.join(_FORMS)}, poly2 to poly{HIGHEST_ORDER}")
+
+
 def fit_form(points: Array, name: str) -> Form:
     """Fit a form, by its name (see `remove_form`), to points (N, 3) mm whose third coordinate is the height."""
+    require_form(name)
     if name == "none":
         return Form("none", 0, points[:, 2] - points[:, 2].mean())
     if name in {"plane", "robust-plane"}:
@@ -76,19 +86,16 @@ def fit_form(points: Array, name: str) -> Form:
     if name == "cylinder":
         _enough(points, 5, name)
         return _fit_cylinder(points)
-    if name.startswith("poly") and name[4:].isdigit() and 2 <= int(name[4:]) <= HIGHEST_ORDER:
-        order = int(name[4:])
-        _enough(points, (order + 1) * (order + 2) // 2, name)
-        return _fit_polynomial(points, order)
-    raise ValueError(
-        f"form {name!r} is not known: plane, robust-plane, sphere, cylinder, poly2 to poly{HIGHEST_ORDER}, auto, none"
-    )
+    order = int(name[4:])
+    _enough(points, (order + 1) * (order + 2) // 2, name)
+    return _fit_polynomial(points, order)
 
 
 def choose_form(points: Array, heights: HeightMap) -> Form:
     """The simplest form that explains the shape of points (N, 3) mm on the lattice of ``heights``.
 
-    Each candidate is judged by n ln(variance left) + terms ln n, where n is the number of independent areas, found from
+    Each candidate is judged by n ln(variance left) + 3 terms ln n (Schwarz's criterion, with thrice its caution: a form
+    that is not there costs roughness), where n is the number of independent areas, found from
     the correlation that the best candidate leaves; so neighbouring heights of one bump do not count twice.
     """
     candidates = [fit_form(points, name) for name in ("plane", "cylinder", "sphere", "poly2")]
@@ -97,7 +104,7 @@ def choose_form(points: Array, heights: HeightMap) -> Form:
     floor = 1e-12 * max(float(np.ptp(points, axis=0).max()), 1e-9) ** 2
 
     def criterion(form: Form) -> float:
-        return areas * math.log(float(form.residual.var()) + floor) + form.terms * math.log(max(areas, 2.0))
+        return areas * math.log(float(form.residual.var()) + floor) + _CAUTION * form.terms * math.log(max(areas, 2.0))
 
     return min(candidates, key=criterion)
 

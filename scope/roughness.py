@@ -14,6 +14,7 @@ from scope.heightmap import HeightMap
 from scope.heightmap_edges import refuse_edges
 from scope.heightmap_filter import l_filter, least_s_index, s_filter
 from scope.heightmap_form import remove_form
+from scope.heightmap_model import Mesh, remove_model
 from scope.heightmap_patch import LEAST_POINTS, patch_heights
 from scope.region import Region
 from scope.roughness_areal import gradient_products
@@ -38,6 +39,7 @@ class RoughnessOptions:
     form: str = "auto"  # F-operator, see `scope.heightmap_form.remove_form`
     s_filter: float | None = None  # mm, areal S-filter; None: the pitch and the stripe are the only S-filter
     l_filter: float | None = None  # mm, areal L-filter and cut-off of the profiles; None: S-F surface, ISO 21920-3
+    model: Mesh | None = None  # the CAD surface, in the cloud frame, in place of a form
     stripe_width: float = math.nan  # mm, one sigma of the stripe's profile on the surface; NaN: not known
     sigma_trust: float = SIGMA_TRUST  # relative standard uncertainty of the points' sigma
     uncertainty: bool = True  # False saves the time of it
@@ -112,7 +114,11 @@ def measure_roughness(
         spread that no roughness has, a repeat that shows something else.
     """
     repeat = None if noise is None else patch_heights(noise, region)
-    return measure_heights(patch_heights(cloud, region), options=options, repeat=repeat, name=name, rng=rng)
+    heights = patch_heights(cloud, region)
+    if cloud.rig_sha256 and not cloud.verified:
+        told = "warning: the rig of this cloud did not pass its verification (scope verify says why)"
+        heights = replace(heights, notes=(*heights.notes, told))
+    return measure_heights(heights, options=options, repeat=repeat, name=name, rng=rng)
 
 
 def measure_heights(
@@ -150,7 +156,7 @@ def measure_heights(
         profile=profile,
         noise_floor=final_noise.floor,
         noise_source=final_noise.source,
-        valid=sq.value is not None and (sq.uncertainty is None or sq.uncertainty < 0.5 * sq.value),
+        valid=sq.value is not None and (sq.uncertainty or 2.0 * trust["Sq"]) < 0.5 * sq.value,
         pitch=final.pitch,
         bandwidth=_bandwidth(final, options, told),
         notes=(*final.notes, *final_noise.notes, *_warnings(final, found), *told.notes),
@@ -172,7 +178,8 @@ def _formed(heights: HeightMap, options: RoughnessOptions) -> HeightMap:
             f"the patch has {count} heights on {heights.z.shape[0]} x {heights.z.shape[1]} places; {LEAST_POINTS} on at "
             "least 10 x 10 are needed: choose a larger region or scan with smaller steps"
         )
-    formed = remove_form(heights.cropped(), options.form)
+    cropped = heights.cropped()
+    formed = remove_form(cropped, options.form) if options.model is None else remove_model(cropped, options.model)
     spread = float(np.nanstd(formed.z))
     limit = min(LARGEST_PLAUSIBLE, _LARGEST_OF_PATCH * min(formed.size))
     if spread > limit:

@@ -11,9 +11,11 @@ import numpy as np
 from calibration.geometry import Array, Bools
 from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
+from scope.roughness_texture import autocorrelation
 
 SIGMA_TRUST = 0.05  # relative standard uncertainty of a predicted sigma
 _LEAST_CORRELATION = 0.1  # of two scans of one surface
+_BY_CHANCE = 3.5  # standard errors that the best of many shifts of unrelated surfaces seldom reaches
 _SHIFT_REACH = 16  # samples within which an unreported displacement is looked for
 
 
@@ -98,23 +100,31 @@ def repeat_noise(first: HeightMap, repeat: HeightMap, *, stripe_width: float = m
             f"the repeat covers {100.0 * both.sum() / max(first.known.sum(), 1):.0f} % of the patch; 25 % are needed: "
             "repeat the scan over the same region"
         )
-    if correlation < _LEAST_CORRELATION:
+    least = max(_LEAST_CORRELATION, _BY_CHANCE / math.sqrt(independent_products(first.z, first.pitch)))
+    if correlation < least:
         raise MeasurementError(
-            f"the repeat shows another surface, or only noise (correlation {correlation:.2f}, needed "
-            f"{_LEAST_CORRELATION:g}); scan the same patch again"
+            f"the repeat shows another surface, or only noise (correlation {correlation:.2f}, needed {least:.2f}); "
+            "scan the same patch again"
         )
     a, b = first.z[both], moved[both]
     common = float(((a - a.mean()) * (b - b.mean())).mean())
     floor = math.sqrt(max(float(a.var()) - common, 0.0))  # not their difference: interpolation calms the repeat
     displacement = float(np.hypot(*((_sampling_offset(first, repeat) + shift) * pitch)))
-    least = 2.0 * max(first.pitch) if math.isnan(stripe_width) else 2.4 * stripe_width
+    width = 2.0 * max(first.pitch) if math.isnan(stripe_width) else 2.4 * stripe_width
     notes = [f"noise from a repeat displaced by {displacement:.3g} mm, correlation {correlation:.3f}"]
-    if displacement <= least:
+    if displacement <= width:
         notes.append(
-            f"warning: the repeat is displaced by less than a stripe's width ({least:.3g} mm): speckle and pixel phase "
+            f"warning: the repeat is displaced by less than a stripe's width ({width:.3g} mm): speckle and pixel phase "
             "recur in it, so the noise floor is temporal noise only"
         )
     return Noise("repeat", floor, 0.0, moved, displacement, correlation, tuple(notes))
+
+
+def independent_products(z: Array, pitch: tuple[float, float]) -> float:
+    """How many unrelated products two maps like z (rows, columns) mm hold: heights over the sum of squared correlation."""
+    acf = autocorrelation(z, pitch)
+    squared = np.nan_to_num(acf.covariance / acf.variance) ** 2
+    return float(np.isfinite(z).sum()) / max(1.0, float(squared.sum()))
 
 
 def onto_lattice(first: HeightMap, repeat: HeightMap, *, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
