@@ -15,7 +15,7 @@ from scope.heightmap_filter import gaussian
 _CLASSES: tuple[tuple[float, float], ...] = ((0.04, 0.08), (0.13, 0.25), (0.4, 0.8), (1.3, 2.5), (math.inf, 8.0))
 SECTIONS = 5  # section lengths in an evaluation length (ISO 21920-3)
 DISCRIMINATION = 0.10  # of Rz: a hill or dale lower than this is none (ISO 21920-2)
-_MOST_PROFILES = 400  # whose elements are looked at one by one
+_MOST_PROFILES = 200  # whose elements are looked at one by one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,12 +129,9 @@ def _upward_crossings(piece: Array, threshold: float) -> Array:
     if len(beyond) < 2:
         return np.zeros(0)
     rises = np.flatnonzero((piece[beyond[:-1]] < 0.0) & (piece[beyond[1:]] > 0.0))
-    places = []
-    for rise in rises:
-        low, high = int(beyond[rise]), int(beyond[rise + 1])
-        last = low + int(np.flatnonzero(piece[low:high] <= 0.0)[-1])
-        places.append(last + piece[last] / (piece[last] - piece[last + 1]))
-    return np.array(places)
+    below = np.flatnonzero(piece <= 0.0)
+    last = below[np.searchsorted(below, beyond[rises + 1]) - 1]
+    return np.asarray(last + piece[last] / (piece[last] - piece[last + 1]))
 
 
 def _pieces(profile: Array) -> Iterator[Array]:
