@@ -32,13 +32,16 @@ def scan(
         float, typer.Option("--extrapolate", min=0.0, help="Range this far outside the calibrated volume, mm.")
     ] = 0.0,
     isolated: Annotated[
-        int | None, typer.Option("--isolated", min=1, max=8, help="Remove points with fewer neighbours than this on the scan.")
+        int | None,
+        typer.Option("--isolated", min=1, max=8, help="Remove points with fewer neighbours than this on the scan."),
     ] = None,
     max_incidence: Annotated[
-        float | None, typer.Option("--max-incidence", min=1.0, max=90.0, help="Remove surface seen at a steeper angle, degrees.")
+        float | None,
+        typer.Option("--max-incidence", min=1.0, max=90.0, help="Remove surface seen at a steeper angle, degrees."),
     ] = None,
     voxel: Annotated[
-        float | None, typer.Option("--voxel", min=1e-3, help="Keep the most certain point of each cube of this edge, mm.")
+        float | None,
+        typer.Option("--voxel", min=1e-3, help="Keep the most certain point of each cube of this edge, mm."),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from an interrupted scan's cloud.ply.part.")] = False,
     allow_unverified: Annotated[
