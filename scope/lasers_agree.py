@@ -27,6 +27,7 @@ class Agreement:
     mean_mm: float  # NaN without a cell
     rms_mm: float
     sigma_mm: float  # rms that independent noise and both calibrations let expect
+    beyond: float  # share of the cells whose surfaces lie more than three of their own sigma apart: a second sheet
 
 
 def agreements(cloud: ScanCloud, *, cell: float | None = None) -> tuple[Agreement, ...]:
@@ -83,14 +84,14 @@ def _compare(cloud: ScanCloud, first: int, second: int, size: float) -> Agreemen
     use = (spread[:, 0] < _FLAT * size) & (spread[:, 1] > _ROUND * spread[:, 2]) & (beside < 0.25 * size)
     names = cloud.laser_names
     if not use.any():
-        return Agreement(names[first], names[second], 0, float("nan"), float("nan"), float("nan"))
+        return Agreement(names[first], names[second], 0, *[float("nan")] * 4)
     noise = np.bincount(slot, chosen.sigma.astype(np.float64) ** 2, 2 * cells) / count.clip(1) ** 2
     shared = np.bincount(slot, chosen.sigma_cal.astype(np.float64) ** 2, 2 * cells) / count.clip(1)
     expected = (noise + shared).reshape(-1, 2)[both].sum(axis=1)[use]
     off = off[use]
     return Agreement(
-        names[first], names[second], int(use.sum()), float(off.mean()), float(np.sqrt((off**2).mean())),
-        float(np.sqrt(expected.mean())),
+        names[first], names[second], len(off), float(off.mean()), float(np.sqrt((off**2).mean())),
+        float(np.sqrt(expected.mean())), float((off**2 > 9.0 * expected).mean()),
     )  # fmt: skip
 
 
