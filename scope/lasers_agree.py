@@ -13,7 +13,7 @@ from scope.mesh import lattice_index
 from scope.normals import lattice_spacing
 
 _LEAST = 8  # points of each laser in a cell
-_FLAT = 0.1  # of the cell: rms about its plane above which a cell is no single smooth surface
+_FLAT = 0.01  # of the cell: rms about its plane, beyond three sigma, above which its curvature would not cancel
 _ROUND = 0.2  # least ratio of the two extents within the plane
 
 
@@ -81,13 +81,14 @@ def _compare(cloud: ScanCloud, first: int, second: int, size: float) -> Agreemen
     normal = axes[:, :, 0] * np.where(axes[:, 2:, 0] > 0, -1.0, 1.0)  # the camera looks along +z
     off = np.einsum("ni,ni->n", gap, normal)
     beside = np.linalg.norm(gap - off[:, None] * normal, axis=1)
-    use = (spread[:, 0] < _FLAT * size) & (spread[:, 1] > _ROUND * spread[:, 2]) & (beside < 0.25 * size)
+    noise = np.bincount(label, chosen.sigma.astype(np.float64) ** 2, cells)[both] / total
+    use = (spread[:, 0] < 3.0 * np.sqrt(noise) + _FLAT * size) & (spread[:, 1] > _ROUND * spread[:, 2]) & (beside < 0.25 * size)
     names = cloud.laser_names
     if not use.any():
         return Agreement(names[first], names[second], 0, *[float("nan")] * 4)
-    noise = np.bincount(slot, chosen.sigma.astype(np.float64) ** 2, 2 * cells) / count.clip(1) ** 2
+    own = np.bincount(slot, chosen.sigma.astype(np.float64) ** 2, 2 * cells) / count.clip(1) ** 2
     shared = np.bincount(slot, chosen.sigma_cal.astype(np.float64) ** 2, 2 * cells) / count.clip(1)
-    expected = (noise + shared).reshape(-1, 2)[both].sum(axis=1)[use]
+    expected = (own + shared).reshape(-1, 2)[both].sum(axis=1)[use]
     off = off[use]
     return Agreement(
         names[first], names[second], len(off), float(off.mean()), float(np.sqrt((off**2).mean())),
