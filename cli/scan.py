@@ -52,23 +52,26 @@ def scan(
     quiet: Quiet = False,
 ) -> None:
     """Range every stripe image of a capture and write one point cloud."""
-    from calibration.atomic import write_text
-    from scope import pipeline
+    from calibration.atomic import require_folder, write_text
+    from scope.scan_file import scan_to_file  # and no more of scope: the first point is there before the rest is loaded
+    from scope.scanning import scan_options
 
     with user_errors():
-        pipeline.require_writable(out, report)
+        if report is not None:
+            require_folder(report)
         with progress("scanning", quiet=quiet) as tick:
-            options = pipeline.scan_options(
+            options = scan_options(
                 method=method, normals=normals, max_sigma=max_sigma, extrapolate=extrapolate, isolated=isolated,
                 max_incidence=max_incidence, voxel=voxel,
             )  # fmt: skip
-            found = pipeline.scan_to_file(capture, rig, out, options, resume=resume, on_frame=tick)
+            found = scan_to_file(capture, rig, out, options, resume=resume, on_frame=tick)
+        from scope import scan_report
+
         say(f"wrote {out}", quiet=quiet)
         if report is not None:
-            write_text(report, pipeline.scan_page(found, capture))
+            write_text(report, scan_report.scan_page(found, capture))
             say(f"wrote {report}", quiet=quiet)
-    result = pipeline.scan_result(found)
-    emit(result, as_json=as_json, text=pipeline.scan_text(found))
+    emit(scan_report.scan_result(found), as_json=as_json, text=scan_report.scan_text(found))
     if found.why_incomplete:
         say(f"incomplete: {found.why_incomplete}; go on with --resume", quiet=quiet)
     if not found.verified and not allow_unverified:

@@ -13,7 +13,7 @@ from scope.mesh import lattice_index
 from scope.normals import lattice_spacing
 
 _LEAST = 8  # points of each laser in a cell
-_FLAT = 0.1  # of the cell: rms about its plane above which a cell is no single smooth surface
+_FLAT = 0.01  # of the cell: rms about its plane, beyond three sigma, above which its curvature would not cancel
 _ROUND = 0.2  # least ratio of the two extents within the plane
 
 
@@ -27,6 +27,7 @@ class Agreement:
     mean_mm: float  # NaN without a cell
     rms_mm: float
     sigma_mm: float  # rms that independent noise and both calibrations let expect
+    beyond: float  # share of the cells whose surfaces lie more than three of their own sigma apart: a second sheet
 
 
 def agreements(cloud: ScanCloud, *, cell: float | None = None) -> tuple[Agreement, ...]:
@@ -80,17 +81,18 @@ def _compare(cloud: ScanCloud, first: int, second: int, size: float) -> Agreemen
     normal = axes[:, :, 0] * np.where(axes[:, 2:, 0] > 0, -1.0, 1.0)  # the camera looks along +z
     off = np.einsum("ni,ni->n", gap, normal)
     beside = np.linalg.norm(gap - off[:, None] * normal, axis=1)
-    use = (spread[:, 0] < _FLAT * size) & (spread[:, 1] > _ROUND * spread[:, 2]) & (beside < 0.25 * size)
+    noise = np.bincount(label, chosen.sigma.astype(np.float64) ** 2, cells)[both] / total
+    use = (spread[:, 0] < 3.0 * np.sqrt(noise) + _FLAT * size) & (spread[:, 1] > _ROUND * spread[:, 2]) & (beside < 0.25 * size)
     names = cloud.laser_names
     if not use.any():
-        return Agreement(names[first], names[second], 0, float("nan"), float("nan"), float("nan"))
-    noise = np.bincount(slot, chosen.sigma.astype(np.float64) ** 2, 2 * cells) / count.clip(1) ** 2
+        return Agreement(names[first], names[second], 0, *[float("nan")] * 4)
+    own = np.bincount(slot, chosen.sigma.astype(np.float64) ** 2, 2 * cells) / count.clip(1) ** 2
     shared = np.bincount(slot, chosen.sigma_cal.astype(np.float64) ** 2, 2 * cells) / count.clip(1)
-    expected = (noise + shared).reshape(-1, 2)[both].sum(axis=1)[use]
+    expected = (own + shared).reshape(-1, 2)[both].sum(axis=1)[use]
     off = off[use]
     return Agreement(
-        names[first], names[second], int(use.sum()), float(off.mean()), float(np.sqrt((off**2).mean())),
-        float(np.sqrt(expected.mean())),
+        names[first], names[second], len(off), float(off.mean()), float(np.sqrt((off**2).mean())),
+        float(np.sqrt(expected.mean())), float((off**2 > 9.0 * expected).mean()),
     )  # fmt: skip
 
 

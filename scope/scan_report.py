@@ -12,7 +12,6 @@ import numpy as np
 from ranging.background import choose_channel, to_gray
 from scope import pictures
 from scope.capture import read_capture
-from scope.cloud import ScanCloud
 from scope.images import read_image
 from scope.lasers_agree import Agreement
 from scope.page import Page
@@ -53,9 +52,9 @@ def scan_result(found: Scan) -> dict[str, Any]:
 def scan_text(found: Scan) -> str:
     """What a person reads on the terminal."""
     rejected = ", ".join(f"{count} {reason}" for reason, count in _most_first(found.rejected)) or "none"
+    sigma = f"median sigma {found.sigma_mm:.4f} mm, of the calibration {found.sigma_cal_mm:.4f} mm"
     lines = [
-        f"{found.points} points from {found.frames} frames in {found.seconds:.1f} s; median sigma {found.sigma_mm:.4f} mm, of "
-        f"the calibration {found.sigma_cal_mm:.4f} mm",
+        f"{found.points} points from {found.frames} frames in {found.seconds:.1f} s; {sigma}",
         f"lines without a point: {rejected}",
     ]
     if found.empty_frames:
@@ -75,7 +74,7 @@ def _agreement_text(pair: Agreement) -> str:
         return "no surface was seen by both"
     return (
         f"apart by {pair.mean_mm:+.4f} mm in the mean, {pair.rms_mm:.4f} mm rms along the normal ({pair.cells} cells; "
-        f"{pair.sigma_mm:.4f} mm expected)"
+        f"{pair.sigma_mm:.4f} mm expected; {100 * pair.beyond:.1f} % of the cells more than 3 sigma apart)"
     )
 
 

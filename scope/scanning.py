@@ -19,7 +19,7 @@ from calibration.rig import Rig
 from ranging.background import Channel, choose_channel, mean_image, to_gray
 from ranging.errors import RangingError
 from ranging.motion import Linear, Motion, Turntable
-from ranging.stripe import Stripe, StripeOptions, extract
+from ranging.stripe import Method, Stripe, StripeOptions, extract
 from ranging.triangulation import triangulate
 from scope.capture import Capture, StageUse, read_capture
 from scope.cloud import ScanCloud, Sensors, quaternion_from_rotation
@@ -30,7 +30,9 @@ from scope.lasers_agree import Agreement, agreements
 from scope.tally import Chunk, Scan, Tally
 
 CHUNK = 16  # frames ranged at once
-SAMPLE = 6  # frames that tell the channel and the noise of the camera
+FIRST = 2  # the same, of the first, so that points are seen at once
+CROSSING = 4.0  # widths (one sigma) of both stripes between their middles, within which they disturb each other
+SAMPLE = 3  # frames that tell the channel and the noise of the camera
 Tick = Callable[[int, int], None]
 
 
@@ -43,6 +45,23 @@ class ScanOptions:
     max_sigma: float | None = None  # mm; points less certain than this are rejected
     normals: bool = False
     filters: FilterOptions = field(default_factory=FilterOptions)
+
+
+def scan_options(
+    *,
+    method: Method = "auto",
+    normals: bool = False,
+    max_sigma: float | None = None,
+    extrapolate: float = 0.0,
+    isolated: int | None = None,
+    max_incidence: float | None = None,
+    voxel: float | None = None,
+) -> ScanOptions:
+    """Options of a scan as the command line gives them."""
+    return ScanOptions(
+        StripeOptions(method=method), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals,
+        filters=FilterOptions(isolated=isolated, max_incidence=max_incidence, voxel=voxel),
+    )  # fmt: skip
 
 
 def _no_tick(_done: int, _total: int) -> None:
@@ -139,6 +158,8 @@ class Plan:
             _check_size(frame.image, capture, rig, frame.name)
         has_dark = capture.background_mode != "none"
         channels = tuple(_channel(capture, laser, sample, has_dark) for laser in lasers)
+        if len(lasers) > 1 and capture.sequence == "together":
+            channels = _told_apart(capture, lasers, channels)
         darks: tuple[Image | None, ...] = (None,) * len(lasers)
         if capture.background_mode == "mean":
             images = read_alike(capture.background, "the background")
@@ -172,8 +193,8 @@ class Plan:
             for found in in_order(self.source, self._extract, first=first):
                 waiting.append(found)
                 on_frame(begun + len(waiting), total)
-                if len(waiting) == CHUNK:
-                    ranged, begun, waiting = self._range(begun, waiting), begun + CHUNK, []
+                if len(waiting) == (CHUNK if begun > first else FIRST):
+                    ranged, begun, waiting = self._range(begun, waiting), begun + len(waiting), []
                     yield ranged
         except KeyboardInterrupt:
             stopped = True
@@ -202,7 +223,7 @@ class Plan:
             except ScopeError as error:
                 raise RangingError(f"{frame.name}: {error}") from error
             found.append((k, stripe))
-        return frame.number, found
+        return frame.number, _uncrossed(found)
 
     def _range(self, first: int, frames: list[tuple[int, list[tuple[int, Stripe]]]]) -> Chunk:
         parts: list[ScanCloud] = []
@@ -344,6 +365,29 @@ def _lasers(capture: Capture, rig: Rig) -> tuple[Laser, ...]:
 def _channel(capture: Capture, laser: Laser, sample: list[Image], has_dark: bool) -> Channel:
     asked = capture.channel if capture.channel != "auto" else laser.channel.partition("-")[0]
     return choose_channel(sample, asked, laser_off=has_dark) if sample else asked  # type: ignore[arg-type, return-value]
+
+
+def _told_apart(capture: Capture, lasers: tuple[Laser, ...], channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
+    """Channels of lasers that shine at once: each colour's excess, so that one line does not show in the other's image."""
+    colours = [channel.partition("-")[0] for channel in channels]
+    if len(set(colours)) < len(colours) or {"gray", "auto"} & set(colours):
+        told = ", ".join(f"{laser.name} is read in {colour}" for laser, colour in zip(lasers, colours, strict=True))
+        raise FileError(
+            f'{capture.path}: {told}: lasers that shine together are told apart by colour; give each [laser.NAME] a channel '
+            'of its own at calibration, scan one at a time (lasers), or take turns (sequence = "cycle")'
+        )
+    return tuple(f"{colour}-excess" for colour in colours)  # type: ignore[misc]
+
+
+def _uncrossed(found: list[tuple[int, Stripe]]) -> list[tuple[int, Stripe]]:
+    """Stripes without the lines on which two of them cross: there each takes light away from the other."""
+    for i, (_, a) in enumerate(found):
+        for _, b in found[i + 1 :]:
+            if a.along == b.along:
+                close = np.abs(a.position - b.position) < CROSSING * (a.width + b.width)
+                for stripe in (a, b):
+                    stripe.position[close], stripe.reason[close] = np.nan, Reason.TWO_PEAKS
+    return found
 
 
 def _check_size(image: Image, capture: Capture, rig: Rig, name: str = "its images") -> None:
