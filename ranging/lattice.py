@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from calibration.geometry import Array, Codes, Pose
+from calibration.reason import Reason
 from ranging.background import Noise
 from ranging.stripe import Stripe
 from ranging.triangulation import Triangulated
@@ -22,7 +23,6 @@ class Seen:
     view: Array  # (L, 3) unit sighting rays
     moved: Array  # (L, 3) mm/px, of the ray at the point when the pixel moves across the stripe
     sheet: Array  # (L, 3) unit normals of the sheet of light
-    source: Array  # (3,) mm, where the light comes from
     camera: Array  # (3,) mm
     sigma: Array  # (L,) mm along the ray
     sigma_cal: Array  # (L,) mm along the ray
@@ -35,19 +35,18 @@ class Seen:
     noise: Array  # (3,) electrons a grey level, grey levels squared without light, contrast of speckle
 
     @classmethod
-    def of(cls, found: Triangulated, stripe: Stripe, cloud_from_c: Pose, source: Array, camera: Array) -> Seen:
-        """Put a frame's points into the cloud frame; ``source`` and ``camera`` (3,) mm are in C."""
+    def of(cls, found: Triangulated, stripe: Stripe, cloud_from_c: Pose, camera: Array) -> Seen:
+        """Put a frame's points into the cloud frame; ``camera`` (3,) mm is in C."""
         turn = cloud_from_c.rotation.T
         return cls(
             points=cloud_from_c.apply(found.points),
             view=found.view @ turn,
             moved=found.moved @ turn,
             sheet=found.sheet @ turn,
-            source=cloud_from_c.apply(source),
             camera=cloud_from_c.apply(camera),
             sigma=found.sigma,
             sigma_cal=found.sigma_cal,
-            reason=found.reason,
+            reason=np.where(stripe.reason == Reason.RANGED, found.reason, stripe.reason).astype(np.uint8),
             position=stripe.position,
             sigma_px=stripe.sigma,
             width=stripe.width,
@@ -65,7 +64,6 @@ class Lattice:
     view: Array
     moved: Array
     sheet: Array
-    source: Array
     camera: Array
     sigma: Array
     sigma_cal: Array

@@ -34,6 +34,8 @@ SPAN = 2.7  # standard deviations of the stripe's width, over which the surface 
 STEEP = 0.35  # of h1 or h3: beyond, first order does not hold
 DOUBT = 0.15  # of a correction, for what is not known: the surface need not be Lambert's
 MOST = 2, 6  # frames and lines, at most, from one point of a patch to the next
+GROWTH = 1.0, 1.0  # see `estimate_beam`; how far that may be wrong
+TELLING = 5000.0  # a tenth of the variance, fifty times told: how much the stripes' widths are trusted
 BLUR = 0.36, 0.25  # px^2: a lens of half a pixel and the pixel's own 1/12; how far that may be wrong
 
 
@@ -41,8 +43,14 @@ BLUR = 0.36, 0.25  # px^2: a lens of half a pixel and the pixel's own 1/12; how 
 class Beam:
     """The light before and after the lens."""
 
-    width: float  # mm, one sigma of the sheet
+    width: float  # mm, one sigma of the sheet at a distance of ``middle``
+    growth: float  # of its square, over the growth of the distance
+    middle: float  # mm
     blur: float  # px^2, variance of lens and pixel
+
+    def width_at(self, distance: Array) -> Array:
+        """One sigma of the sheet, mm, at distances from the camera."""
+        return np.asarray(self.width * np.sqrt(np.maximum(1.0 + self.growth * (distance / self.middle - 1.0), 0.1)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,21 +80,12 @@ def correct(lattice: Lattice, first: int, last: int) -> Correction:
         Zero, with no sigma of its own, where fewer than a dozen neighbours tell the surface: at its borders, and in a
         capture without motion. Where the neighbours lie on no paraboloid (edges, roughness finer than the stripe), too.
     """
-    stride = _stride(lattice)
-    margin = surface.NEAREST * stride[0]
-    patches = np.full((*lattice.sigma.shape, surface.PATCH), np.nan)
-    table = np.full((*lattice.sigma.shape, surface.COLUMNS), np.nan)
-    surface.fit_patches(
-        lattice.points, lattice.view, lattice.sigma, stride, max(0, first - margin),
-        min(len(lattice.source), last + margin), patches,
-    )  # fmt: skip
-    surface.see_surfaces(
-        lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.source, lattice.camera, lattice.sigma,
-        stride, first, last, patches, table,
-    )  # fmt: skip
-    course = follow(lattice.position, lattice.peak * lattice.width)
-    beam = estimate_beam(table, lattice.width, course[..., 0])
-    shift, noise, width = displacement(table, course, beam, lattice)
+    light = lattice.peak * lattice.width
+    table = _surfaces(lattice, light, first, last)
+    course = follow(lattice.position, light)
+    distance = np.linalg.norm(lattice.points - lattice.camera[:, None, :], axis=2)
+    beam = estimate_beam(table, lattice.width, course[..., 0], distance)
+    shift, noise, width = displacement(table, course, beam.width_at(distance), beam.blur, lattice)
     known = np.isfinite(shift) & (table[..., surface.MISFIT] < surface.SMOOTH)
     variance = lattice.sigma_px**2
     share = np.where(known, variance / (variance + noise**2), 0.0)
@@ -95,54 +94,84 @@ def correct(lattice: Lattice, first: int, last: int) -> Correction:
     return Correction(share * full, np.where(known, np.hypot(left, share * noise), 0.0), width, table, beam)
 
 
-def displacement(table: Array, course: Array, beam: Beam, lattice: Lattice) -> tuple[Array, Array, Array]:
+def _surfaces(lattice: Lattice, light: Array, first: int, last: int) -> Array:
+    """Table of `surface.see_surfaces`; where no wide patch is smooth, of narrow ones."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        glow = np.log(light)
+    table = np.full((*lattice.sigma.shape, surface.COLUMNS), np.nan)
+    wide = _stride(lattice)
+    for stride in dict.fromkeys((wide, (wide[0], max(1, wide[1] // 2)), (1, 1))):
+        margin = surface.NEAREST * stride[0]
+        patches = np.full((*lattice.sigma.shape, surface.PATCH), np.nan)
+        begin, end = max(0, first - margin), min(len(lattice.camera), last + margin)
+        surface.fit_patches(lattice.points, lattice.view, lattice.sigma, glow, stride, begin, end, patches)
+        surface.see_surfaces(
+            lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, stride, first, last,
+            patches, table,
+        )  # fmt: skip
+    return table
+
+
+def displacement(
+    table: Array, course: Array, width: Array, blur: float, lattice: Lattice
+) -> tuple[Array, Array, Array]:
     """Displacement, its noise, and the width of the stripe, (F, L) px each; NaN where first order does not hold."""
     a, b, g = (table[..., k] for k in (surface.LEAVING, surface.BENDING, surface.SHADING))
     tilt, bow, growth = (course[..., k] for k in range(3))
     with np.errstate(invalid="ignore", divide="ignore"):
-        s0 = beam.width / np.abs(a)
-        square = s0**2 + beam.blur * (1.0 + tilt**2)
+        s0 = width / np.abs(a)
+        square = s0**2 + blur * (1.0 + tilt**2)
         h3 = -0.5 * b * s0 / a
         h1 = g * s0 + 3.0 * h3
         noise = s0**2 * table[..., surface.NOISE]
         rho = answer_to_skew(lattice.peak, *lattice.noise.T[:, :, None])
-        shift = s0 * h1 + rho * s0 * h3 * s0**2 / square + beam.blur * (0.5 * bow + tilt * growth)
+        shift = s0 * h1 + rho * s0 * h3 * s0**2 / square + blur * (0.5 * bow + tilt * growth)
         valid = (np.abs(h1) < STEEP) & (np.abs(h3) < STEEP)
     return np.where(valid, shift, np.nan), np.where(valid, noise, np.nan), np.sqrt(square)
 
 
-def estimate_beam(table: Array, width: Array, tilt: Array) -> Beam:
+def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> Beam:
     """Width of the sheet and blur of the lens, from stripes on surfaces of different slopes.
 
-    The stripe's variance is w^2 / a^2 + c^2 (1 + v'^2); a surface of a single slope cannot tell w from c, and c then
-    stays near what lenses do.
+    The stripe's variance is w^2 / a^2 + c^2 (1 + v'^2), with w^2 = w0^2 (1 + growth x), x being the distance over its
+    median, less one: growth is 0 for a collimated sheet, 2 for one that widens with its range. All slopes and distances
+    have the same say, however many points they have. What they cannot tell stays near what lasers and lenses do.
+
+    Parameters
+    ----------
+    table : (F, L, COLUMNS) array
+        Of `surface.see_surfaces`.
+    width, tilt : (F, L) arrays
+        px, of the stripe; px/line, of its course.
+    distance : (F, L) array, mm
+        From the camera.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        x, t, y = 1.0 / table[..., surface.LEAVING] ** 2, 1.0 + tilt**2, width**2
-        good: Bools = (table[..., surface.MISFIT] < 2.0) & np.isfinite(x + t + y) & (t < 5.0)
+        x, t, y = table[..., surface.LEAVING] ** -2, 1.0 + tilt**2, width**2
+        good = (table[..., surface.MISFIT] < surface.SMOOTH) & (table[..., surface.AWAY] == 0.0)
+        good &= np.isfinite(x + t + y) & (t < 5.0)
     if np.count_nonzero(good) < 50:
-        return Beam(0.0, BLUR[0])
-    x, t, y = x[good], t[good], y[good]
-    usual = float(np.median(x))
+        return Beam(0.0, 0.0, 1.0, BLUR[0])
+    x, t, y, d = x[good], t[good], y[good], distance[good]
+    usual, middle = float(np.median(x)), float(np.median(d))
     near = x < 9.0 * usual
-    x, t, y = x[near] / usual, t[near], y[near]
-    weight = 1.0 / np.maximum(y, 0.1) ** 2
-    solution = np.array([1.0, BLUR[0]])
+    x, t, y, z = x[near] / usual, t[near], y[near], d[near] / middle - 1.0
+    cell = np.digitize(np.log2(x), np.linspace(-3.0, 3.0, 13)) * 64 + np.digitize(z, np.linspace(-0.3, 0.3, 31))
+    balance = 1.0 / np.bincount(cell)[cell]
+    terms = np.stack([x, x * z, t], axis=1) / y[:, None]
+    start = max(float(np.median((y - BLUR[0] * t) / x)), 0.01)
+    prior = np.array([start, start * GROWTH[0], BLUR[0]])
+    tight = np.array([0.0, 1.0 / (start * GROWTH[1]) ** 2, 1.0 / BLUR[1] ** 2])
+    weight, found = balance, prior
     for _ in range(6):
-        confidence = 50.0 / (0.1**2 * len(y))  # of model and data together: a tenth of the variance, fifty times told
-        w = weight * confidence
-        matrix = np.array([[np.sum(w * x * x), np.sum(w * x * t)], [np.sum(w * x * t), np.sum(w * t * t)]])
-        right = np.array([np.sum(w * x * y), np.sum(w * t * y)])
-        matrix[1, 1] += 1.0 / BLUR[1] ** 2
-        right[1] += BLUR[0] / BLUR[1] ** 2
-        solution = np.linalg.solve(matrix, right)
-        residual = (y - x * solution[0] - t * solution[1]) / np.maximum(y, 0.1)
-        scale = 3.0 * max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
-        weight = np.maximum(1.0 - (residual / scale) ** 2, 0.0) ** 2 / np.maximum(y, 0.1) ** 2
-    blur = float(np.clip(solution[1], 1.0 / 12.0, 0.9 * np.median(y)))
-    if blur != solution[1]:
-        solution[0] = float(np.median((y - blur * t) / x))
-    return Beam(float(np.sqrt(max(solution[0], 0.0) / usual)), blur)
+        scaled = terms * (weight * (TELLING / np.sum(weight)))[:, None]
+        found = np.linalg.solve(scaled.T @ terms + np.diag(tight), scaled.sum(axis=0) + tight * prior)
+        residual = 1.0 - terms @ found
+        scale = 4.0 * max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
+        weight = balance * np.maximum(1.0 - (residual / scale) ** 2, 0.0) ** 2
+    square = max(float(found[0]), 1e-6)
+    blur = float(np.clip(found[2], 1.0 / 12.0, None))
+    return Beam(float(np.sqrt(square / usual)), float(np.clip(found[1] / square, -1.0, 3.0)), middle, blur)
 
 
 def answer_to_skew(peak: Array, gain: Array, dark: Array, speckle: Array) -> Array:

@@ -2,7 +2,8 @@
 
 A scan is a lattice: frames by lines. Where it is smooth, X(frame, line) is well described by a quadratic over five by five
 of its points, and its derivatives tell the surface's normal, its curvature, and what a pixel that moves across the stripe
-sees: how fast the surface leaves the sheet of light, how that rate changes, and how the shading changes. A point whose own
+sees: how fast the surface leaves the sheet of light, and how that rate changes. How the shading changes is read off the
+light of the neighbours' stripes, so that nothing need be known of the surface's reflectance. A point whose own
 neighbourhood is no quadratic, since an edge cuts it, may still lie on one of the smooth patches beside it.
 """
 
@@ -20,12 +21,15 @@ Vector: TypeAlias = tuple[float, float, float]
 Row: TypeAlias = Any  # one point of an array
 
 # Columns of the table of patches: derivatives of X by strides of the lattice, three columns each.
-CENTRE, BY_F, BY_L, BY_FF, BY_FL, BY_LL, CHI = 0, 3, 6, 9, 12, 15, 18
-PATCH = 19
+BY_F, BY_L, BY_FF, BY_FL, BY_LL = 3, 6, 9, 12, 15  # the first three columns are its middle
+CHI = 18  # chi squared a degree of freedom
+LIGHT_F, LIGHT_L = 19, 20  # of the logarithm of the stripe's light
+LIGHT_NOISE = 21  # variance of that logarithm about its plane
+PATCH = 22
 # Columns of the table of answers.
 LEAVING = 0  # mm/px, d(distance from the sheet) / d(pixel across the stripe)
 BENDING = 1  # mm/px^2, its derivative
-SHADING = 2  # 1/px, d(log of the irradiance) / d(pixel)
+SHADING = 2  # 1/px, d(log of the radiance) / d(pixel)
 NOISE = 3  # 1/px, standard deviation of SHADING - 1.5 BENDING / LEAVING, from that of the points
 MISFIT = 4  # chi squared a degree of freedom of the patch's points
 NORMAL = 5  # unit, away from the camera; three columns
@@ -40,12 +44,13 @@ NEAREST = 3  # strides, to the middle of a patch beside a point that has no part
 
 @compiled
 def fit_patches(
-    points: Array, view: Array, sigma: Array, stride: tuple[int, int], first: int, last: int, patches: Array
-) -> None:
+    points: Array, view: Array, sigma: Array, light: Array, stride: tuple[int, int], first: int, last: int,
+    patches: Array,
+) -> None:  # fmt: skip
     """Quadratics about every point of frames ``first`` to ``last`` - 1, by least squares on the lattice.
 
     ``points`` (F, L, 3) mm in the cloud frame, ``view`` (F, L, 3) unit rays, ``sigma`` (F, L) mm along them, NaN where there
-    is no point; ``patches`` (F, L, PATCH) receives the answers, CHI NaN where one of the 25 points is missing. On a grid
+    is no point, ``light`` (F, L) the logarithm of the light on the line; ``patches`` (F, L, PATCH) receives the answers, CHI NaN where one of the 25 points is missing. On a grid
     the polynomials 1, a, b, a^2 - 2, a b, b^2 - 2 are orthogonal, so that each coefficient is a sum.
     """
     frames, lines = sigma.shape
@@ -63,6 +68,7 @@ def fit_patches(
             s0 = s1 = s2 = a0 = a1 = a2 = b0 = b1 = b2 = 0.0
             aa0 = aa1 = aa2 = ab0 = ab1 = ab2 = bb0 = bb1 = bb2 = 0.0
             square = variance = 0.0
+            m = mm = ma = mb = 0.0
             for a in range(-HALF, HALF + 1):
                 g = f + a * stride[0]
                 r0 = r1 = r2 = u0 = u1 = u2 = v0 = v1 = v2 = 0.0
@@ -72,6 +78,8 @@ def fit_patches(
                     h = x * e[0] + y * e[1] + z * e[2]
                     square += h * h
                     variance += sigma[g, j] * sigma[g, j]
+                    glow = light[g, j] - light[f, i]
+                    m, mm, ma, mb = m + glow, mm + glow * glow, ma + a * glow, mb + b * glow
                     r0, r1, r2 = r0 + x, r1 + y, r2 + z
                     u0, u1, u2 = u0 + b * x, u1 + b * y, u2 + b * z
                     c = b * b - 2
@@ -98,11 +106,13 @@ def fit_patches(
                 row[k] = value
             row[0], row[1], row[2] = row[0] + o[0], row[1] + o[1], row[2] + o[2]
             row[CHI] = max(square, 0.0) / FREEDOM / (variance / 25.0)
+            row[LIGHT_F], row[LIGHT_L] = ma / 50.0, mb / 50.0
+            row[LIGHT_NOISE] = max(mm - m * m / 25.0 - (ma * ma + mb * mb) / 50.0, 0.0) / 22.0
 
 
 @compiled
 def see_surfaces(
-    points: Array, view: Array, moved: Array, sheet: Array, source: Array, camera: Array, sigma: Array,
+    points: Array, view: Array, moved: Array, sheet: Array, camera: Array, sigma: Array,
     stride: tuple[int, int], first: int, last: int, patches: Array, table: Array,
 ) -> None:  # fmt: skip
     """What the surface does across the stripe at every point of frames ``first`` to ``last`` - 1.
@@ -112,21 +122,19 @@ def see_surfaces(
     points, view, moved, sheet : (F, L, 3) arrays
         mm; unit rays, away from the camera; mm/px, of a point's ray when its pixel moves across the stripe; unit
         normals of the sheet of light. In the cloud frame, as all that follows.
-    source, camera : (F, 3) arrays, mm
-        Where the light comes from, and the camera.
+    camera : (F, 3) array, mm
     sigma : (F, L) array, mm
     patches : (F, L, PATCH) array
         Of `fit_patches`, for frames up to ``NEAREST`` strides before ``first`` and after ``last`` - 1.
     table : (F, L, COLUMNS) array
-        Receives the answers, NaN where there is no patch. MISFIT says how good the patch is: where the point's own patch
+        Receives the answers; rows that already have a smooth patch stay as they are. MISFIT says how good the patch is: where the point's own patch
         is not `SMOOTH`, a smooth patch beside it is taken, of eight the one that the point is nearest to.
     """
     frames, lines = sigma.shape
     for f in range(first, last):
         for i in range(lines):
             row = table[f, i]
-            row[:] = np.nan
-            if not sigma[f, i] > 0.0:
+            if not sigma[f, i] > 0.0 or row[MISFIT] < SMOOTH:
                 continue
             best_a, best_b = 0, 0
             away = 0.0
@@ -149,7 +157,7 @@ def see_surfaces(
             row[AWAY] = away
             _optics(
                 patches[g, j], -best_a, -best_b, _vector(view[f, i]), _vector(moved[f, i]), _vector(sheet[f, i]),
-                _between(points[f, i], source[f]), _between(camera[f], points[f, i]), sigma[f, i], row,
+                _between(camera[f], points[f, i]), sigma[f, i], row,
             )  # fmt: skip
 
 
@@ -173,14 +181,14 @@ def _away(patch: Row, point: Vector, ray: Vector, a: int, b: int, sigma: float, 
 
 @compiled
 def _optics(
-    patch: Row, a: int, b: int, ray: Vector, shift: Vector, sheet: Vector, light: Vector, sight: Vector, sigma: float,
-    row: Row,
+    patch: Row, a: int, b: int, ray: Vector, shift: Vector, sheet: Vector, sight: Vector, sigma: float, row: Row
 ) -> None:  # fmt: skip
-    """Motion X' and X'' of the point that a pixel sees as it moves across the stripe, and what the light does there.
+    """Motion X' and X'' of the point that a pixel sees as it moves across the stripe, and how its light changes.
 
     X stays on the patch, whose second fundamental form tells the part of X'' along the normal, and on a ray that turns
     evenly about the camera, which tells the rest: X'' = (2 rho' / rho) m + lambda ray, with rho the distance and m the
-    ray's shift square to itself. The normal turns by Weingarten's equations.
+    ray's shift square to itself. The light M on a line is radiance times width, w / |n . X'|; as the stripe moves on over
+    the surface its normal turns, and with it n . X' by (n . ray) II(X', X') / (N . ray).
     """
     u = (
         patch[BY_F] + a * patch[BY_FF] + b * patch[BY_FL],
@@ -211,21 +219,15 @@ def _optics(
     along_ray = (bend_u * du + bend_v * dv - turning * _dot(normal, square)) / facing
     leaving = _dot(sheet, tangent)
     bending = turning * _dot(sheet, square) + along_ray * _dot(sheet, ray)
-    range_ = math.sqrt(_dot(light, light))
-    light = (light[0] / range_, light[1] / range_, light[2] / range_)
-    lit = _dot(normal, light)
-    lu, lv = _dot(light, u), _dot(light, v)
-    wu, wv = (vv * lu - uv * lv) / area, (uu * lv - uv * lu) / area
     row[LEAVING] = leaving
     row[BENDING] = bending
-    row[SHADING] = -(bend_u * wu + bend_v * wv) / lit + _dot(light, tangent) / range_
+    curving = _dot(sheet, ray) / (facing * leaving)
+    row[SHADING] = patch[LIGHT_F] * du + patch[LIGHT_L] * dv + curving * (bend_u * du + bend_v * dv)
     row[NORMAL], row[NORMAL + 1], row[NORMAL + 2] = normal[0], normal[1], normal[2]
-    # the second derivatives err by sigma (normal . ray) times the root of 4/70, 1/100 and 4/70
-    through = -1.5 * _dot(sheet, ray) / (facing * leaving)
-    by_ff = through * du * du - du * wu / lit
-    by_fl = 2.0 * through * du * dv - (du * wv + dv * wu) / lit
-    by_ll = through * dv * dv - dv * wv / lit
-    row[NOISE] = sigma * abs(facing) * math.sqrt((by_ff * by_ff + by_ll * by_ll) * (4.0 / 70.0) + by_fl * by_fl * 0.01)
+    # the second derivatives err by sigma (normal . ray) times the root of 4/70, 1/100 and 4/70; first ones by 1/50
+    by_bend = 0.5 * curving * sigma * facing
+    bend = by_bend * by_bend * ((du * du * du * du + dv * dv * dv * dv) * (4.0 / 70.0) + du * du * dv * dv * 0.04)
+    row[NOISE] = math.sqrt(bend + patch[LIGHT_NOISE] * (du * du + dv * dv) / 50.0)
 
 
 @compiled
