@@ -91,9 +91,10 @@ def split_residuals(field: RayField, planes: Sequence[PlaneMarks]) -> ResidualSp
     numbers, index = np.unique(np.concatenate([p.mark for p in planes]), return_inverse=True)
     plane = np.repeat(np.arange(len(planes)), [len(p) for p in planes])
     seen = np.bincount(index, minlength=len(numbers))
-    raw = np.concatenate([placement.residuals(field, p) for p in planes])
-    px = np.concatenate([np.sqrt(np.abs(np.linalg.det(placement.to_pixels(field, p)))) for p in planes])
-    bases = [np.linalg.qr(_mode_rows(field, p))[0] for p in planes]
+    raw = np.concatenate([_in_target(field, p, placement.residuals(field, p)[:, :, None])[:, :, 0] for p in planes])
+    depth = np.concatenate([field.depth(p.world) for p in planes])
+    px = 1.0 / np.sqrt(np.abs(np.linalg.det(field.jacobian(np.concatenate([p.pixels for p in planes]), depth))))
+    bases = [_mode_basis(field, p) for p in planes]
     common, moved = np.zeros((len(numbers), 2)), np.zeros_like(raw)
     for _ in range(20):
         rest = raw - moved
@@ -127,9 +128,23 @@ def split_residuals(field: RayField, planes: Sequence[PlaneMarks]) -> ResidualSp
     )
 
 
-def _mode_rows(field: RayField, marks: PlaneMarks) -> Array:
-    rows = placement.modes(field, marks).reshape(2 * len(marks), placement.MODES)
-    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300))
+def _mode_basis(field: RayField, marks: PlaneMarks) -> Array:
+    """Orthonormal basis (2n, 7) of the placement modes of one plane, in the target's coordinates."""
+    columns = _in_target(field, marks, placement.modes(field, marks, _slopes(field, marks)))
+    rows = columns.reshape(2 * len(marks), placement.MODES)
+    return np.asarray(np.linalg.qr(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300))[0])
+
+
+def _in_target(field: RayField, marks: PlaneMarks, offset: Array) -> Array:
+    """Offsets (n, 2, k) mm across depth, slid along the rays into the plane: (n, 2, k) mm in its own coordinates."""
+    unit = np.broadcast_to(np.eye(3)[:, :2], (len(marks), 3, 2))
+    seen = placement.across(field, marks, _slopes(field, marks), unit)
+    return np.asarray(np.linalg.solve(seen, offset))
+
+
+def _slopes(field: RayField, marks: PlaneMarks) -> Array:
+    world = marks.world @ field.c_from_d
+    return placement.slopes(field, placement.expected(field, marks.pixels, world), world)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

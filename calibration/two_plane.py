@@ -58,7 +58,7 @@ class TwoPlaneCamera:
     def shift(self, pixels: Array, points: Array) -> Array:
         """Movement (N, 3, 2) mm/px, across depth, of points on the rays of pixels when the pixel moves."""
         across = self.field.jacobian(pixels, self.field.depth(points))
-        return np.asarray(np.einsum("ij,njk->nik", self.field.c_from_d[:, :2], across))
+        return np.asarray(self.field.c_from_d[:, :2] @ across)
 
     def sigma_at(self, pixels: Array, points: Array) -> Array:
         """Standard deviation (N,) mm of the rays across depth at points (N, 3), from the noise of the marks."""

@@ -127,6 +127,7 @@ class Capture:
     sequence: Literal["together", "cycle"]
     motion: Motion | StageUse
     numbers: tuple[int, ...] | None  # frame number of each image where they come from the file names
+    by_step: bool = False  # only the count of frames says how far the object has moved
 
 
 def read_capture(path: Path) -> Capture:
@@ -156,7 +157,7 @@ def read_capture(path: Path) -> Capture:
     lasers = None if raw.lasers is None else tuple(raw.lasers)
     return Capture(
         path, raw.camera_id, images, video, raw.camera, raw.frames, background, mode, raw.channel, lasers, raw.sequence,
-        motion, frame_numbers,
+        motion, frame_numbers, raw.motion.step is not None,
     )  # fmt: skip
 
 

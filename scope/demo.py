@@ -21,7 +21,8 @@ from scope.page import Page
 from scope.pictures import grey_blocks, with_marks, with_stripe
 from scope.region import Box
 from scope.scan_report import add_views, scan_page
-from scope.scanning import Scan, run_scan
+from scope.scanning import run_scan
+from scope.tally import Scan
 
 _STEPS = 5
 
