@@ -57,7 +57,7 @@ def refine(lattice: Lattice, first: int, last: int) -> Refined:
     found = correct(lattice, first, last)
     reason = lattice.reason[rows].copy()
     points, position, sigma = lattice.points[rows].copy(), lattice.position[rows].copy(), lattice.sigma[rows].copy()
-    if lattice.step(0) > 0.0:
+    if lattice.moves:
         ends = np.full((2, *sigma.shape), FAR, dtype=np.int64)
         nearest_end(lattice.points, lattice.view, lattice.sigma, first, last, ends)
         fit = found.table[rows]

@@ -80,6 +80,12 @@ class Lattice:
         """Stack frames, one at least."""
         return cls(**{f.name: np.stack([getattr(frame, f.name) for frame in frames]) for f in fields(Seen)})
 
+    @property
+    def moves(self) -> bool:
+        """Whether frames are farther apart than their noise, so that one tells something about the next."""
+        known = np.isfinite(self.sigma)
+        return bool(known.any()) and self.step(0) > 3.0 * float(np.median(self.sigma[known]))
+
     def step(self, axis: int) -> float:
         """Median distance, mm, between neighbours from frame to frame (0) or from line to line (1); 0 where unknown."""
         length = np.linalg.norm(np.diff(self.points, axis=axis), axis=2)

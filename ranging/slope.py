@@ -99,6 +99,8 @@ def _surfaces(lattice: Lattice, light: Array, first: int, last: int) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         glow = np.log(light)
     table = np.full((*lattice.sigma.shape, surface.COLUMNS), np.nan)
+    if not lattice.moves:
+        return table
     wide = _stride(lattice)
     for stride in dict.fromkeys((wide, (wide[0], max(1, wide[1] // 2)), (1, 1))):
         margin = surface.NEAREST * stride[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -23,6 +23,10 @@ class Triangulated:
     view: Array  # (N, 3) unit sighting rays in C, away from the camera
     moved: Array  # (N, 3) mm/px, of the ray at the point when its pixel moves across the stripe
     sheet: Array  # (N, 3) unit normals of the sheet of light at the points
+
+    def rows(self, begin: int, end: int) -> Triangulated:
+        """Rows ``begin`` to ``end`` - 1."""
+        return Triangulated(*(getattr(self, f.name)[begin:end] for f in fields(self)))
 
 
 def triangulate(
