@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from benchmarks.sessions import FIVE, SIZE, session
+from benchmarks.sessions import FIVE, FOUR, SIZE, session
 from calibration.analysis import block_image, interplane, intraplane, lines, lines_paper, pixel_grid
 from calibration.held_out import against, held_out, ray_uncertainty
-from calibration.plane_map import PlaneMarks
+from calibration.plane_map import fit_plane_map
 from calibration.ray_field import fit_ray_field
 from calibration.two_plane import fit_two_plane, with_model
 
@@ -56,8 +58,7 @@ def test_a_slip_shows_in_the_inter_plane_image_as_its_component_off_the_line():
     slip = 0.3
     marks = session(np.random.default_rng(5), noise_px=0.0)
     clean = interplane(fit_two_plane(marks, SIZE).camera, grid=(9, 12))
-    pose = marks[1].c_from_plane
-    moved = PlaneMarks("w360", marks[1].pixels, marks[1].points + np.array([slip, 0.0]), pose, marks[1].mark, marks[1].covariance)
+    moved = replace(marks[1], points=marks[1].points + np.array([slip, 0.0]))
     found = interplane(fit_two_plane([marks[0], moved, *marks[2:]], SIZE).camera, grid=(9, 12))
     z = np.array(FIVE) - np.mean(FIVE)
     left = slip * np.sqrt(1 - 1 / 5 - z[1] ** 2 / (z @ z)) / np.sqrt(5)  # what no line follows, rms over five planes
@@ -86,18 +87,15 @@ def test_residuals_split_into_what_was_put_in(target_mm, noise_px):
     marks = session(np.random.default_rng(6), target_mm=target_mm, noise_px=noise_px)
     split = intraplane(fit_two_plane(marks, SIZE)).split
     assert split.random_px == pytest.approx(noise_px * np.sqrt(2), rel=0.05)
-    assert split.placement_px < 0.2 * split.random_px
+    assert split.placement_px < 0.4 * split.random_px
     scale = 1400.0 / 400.0  # px a mm in the middle of the volume
-    assert split.target_px == pytest.approx(target_mm * scale * np.sqrt(2), rel=0.12, abs=0.25 * split.random_px)
+    assert split.target_px == pytest.approx(target_mm * scale * np.sqrt(2), rel=0.12, abs=1e-9)
 
 
 def test_a_slipped_plane_is_placement_and_the_target_is_recovered():
     rng = np.random.default_rng(7)
     marks = session(rng, target_mm=0.03, noise_px=0.01)
-    pose = marks[2].c_from_plane
-    marks[2] = PlaneMarks(
-        "w400", marks[2].pixels, marks[2].points + np.array([0.1, 0.0]), pose, marks[2].mark, marks[2].covariance
-    )
+    marks[2] = replace(marks[2], points=marks[2].points + np.array([0.1, 0.0]))
     split = intraplane(fit_two_plane(marks, SIZE)).split
     assert np.argmax(split.plane_px) == 2
     assert split.random_px == pytest.approx(0.01 * np.sqrt(2), rel=0.1)
@@ -129,14 +127,7 @@ def test_held_out_planes_of_the_two_plane_camera(fit):
 
 def test_bias_of_a_held_out_plane_is_the_slip_of_that_plane():
     marks = session(np.random.default_rng(8))
-    marks[2] = PlaneMarks(
-        "w400",
-        marks[2].pixels,
-        marks[2].points + np.array([0.2, -0.1]),
-        marks[2].c_from_plane,
-        marks[2].mark,
-        marks[2].covariance,
-    )
+    marks[2] = replace(marks[2], points=marks[2].points + np.array([0.2, -0.1]))
     row = held_out(fit_two_plane(marks, SIZE))[2]
     assert row.bias_mm[:2] == pytest.approx([0.2, -0.1], rel=0.15)  # perpendicular to rays up to 25 degrees off
     assert row.rms_mm > 0.18
@@ -148,29 +139,41 @@ def test_two_planes_have_nothing_to_hold_out():
     assert np.isnan(intraplane(two).split.random_px)
 
 
-@pytest.mark.parametrize("model", ["joint", "two-plane"])
-def test_ray_uncertainty_is_that_of_monte_carlo(model, fit):
-    """Within 10 % of the scatter of 150 calibrations, at a depth between planes."""
-    camera = with_model(fit.camera, model)
-    (stated,) = ray_uncertainty(camera, [375.0], grid=(7, 9))
+def sparse(stand_offs, noise_px):
+    return session(np.random.default_rng(0), stand_offs=stand_offs, rows=10, columns=13, pitch=24.0, noise_px=noise_px)
+
+
+def noisy(exact, rng):
+    return [replace(m, pixels=m.pixels + 0.02 * rng.standard_normal(m.pixels.shape)) for m in exact]
+
+
+def check_uncertainty(stated, crossings):
+    """Within 10 % as a whole, and nowhere far off."""
     known = np.isfinite(stated.sigma_mm)
-    pixels = stated.pixels[known]
-    orders = (fit.joint.field.slope_order, fit.joint.field.origin_order)
-    exact = session(np.random.default_rng(0), noise_px=0.0)
-    rng = np.random.default_rng(10)
-    crossings = []
-    for _ in range(150):
-        noisy = [
-            PlaneMarks(m.name, m.pixels + 0.02 * rng.standard_normal(m.pixels.shape), m.points, m.c_from_plane, m.mark, m.covariance)
-            for m in (exact if model == "joint" else exact[1:3])
-        ]  # fmt: skip
-        if model == "joint":
-            rays = fit_ray_field(noisy, orders=orders).field.rays(pixels)
-        else:
-            again = fit_two_plane(noisy, SIZE, order=fit.planes[0].map.terms, model="two-plane").camera
-            rays = again.rays(pixels, near=375.0)
-        crossings.append(rays.at_depth(375.0)[:, :2])
     scatter = np.sqrt(np.var(crossings, axis=0).mean(axis=1))
     ratio = stated.sigma_mm[known] / scatter
     assert np.sqrt((ratio**2).mean()) == pytest.approx(1.0, abs=0.1)
-    assert np.all((ratio > 0.8) & (ratio < 1.25))
+    assert np.all((ratio > 0.75) & (ratio < 1.33))
+
+
+def test_uncertainty_of_joint_rays_is_that_of_monte_carlo():
+    fit = fit_two_plane(sparse(FOUR, 0.02), SIZE)
+    (stated,) = ray_uncertainty(fit.camera, [400.0], grid=(7, 9))
+    pixels = stated.pixels[np.isfinite(stated.sigma_mm)]
+    orders = (fit.joint.field.slope_order, fit.joint.field.origin_order)
+    exact, rng = sparse(FOUR, 0.0), np.random.default_rng(10)
+    rays = [fit_ray_field(noisy(exact, rng), orders=orders).field.rays(pixels) for _ in range(80)]
+    check_uncertainty(stated, [r.at_depth(400.0)[:, :2] for r in rays])
+
+
+def test_uncertainty_of_two_plane_rays_is_that_of_monte_carlo():
+    pair = (360.0, 420.0)
+    camera = with_model(fit_two_plane(sparse(pair, 0.02), SIZE, order=5).camera, "two-plane")
+    (stated,) = ray_uncertainty(camera, [400.0], grid=(7, 9))
+    pixels = stated.pixels[np.isfinite(stated.sigma_mm)]
+    exact, rng = sparse(pair, 0.0), np.random.default_rng(11)
+    crossings = []
+    for _ in range(150):
+        first, second = (fit_plane_map(m, order=5).map.points(pixels)[:, :2] for m in noisy(exact, rng))
+        crossings.append(first / 3 + second * 2 / 3)  # at 400 mm, two thirds of the way
+    check_uncertainty(stated, crossings)
