@@ -165,17 +165,18 @@ def _fit(marks: PlaneMarks, domain: Domain, terms: Terms) -> PlaneFit:
             "marks: show more of the target or lower --order"
         )
     p = polynomial.design(domain.square(marks.pixels), terms)
+    freedom = len(marks) - need
     try:
         fit = polynomial.solve(p, marks.points)
+        sigma = float(np.sqrt((fit.residuals**2).sum() / (2 * freedom))) if freedom else float("nan")
+        plane_map = PlaneMap(marks.name, terms, domain, fit.solution, marks.c_from_plane, fit.inverse, sigma)
+        to_px = np.linalg.inv(plane_map.jacobian(marks.pixels))  # singular where the points lie on one line
     except np.linalg.LinAlgError as error:
         raise CalibrationError(
             f"plane {marks.name}: the {len(marks)} marks do not determine order {terms} (they lie on one line, or on too "
             "few rows or columns): show more of the target or lower --order"
         ) from error
-    freedom = len(marks) - need
-    sigma = float(np.sqrt((fit.residuals**2).sum() / (2 * freedom))) if freedom else float("nan")
-    plane_map = PlaneMap(marks.name, terms, domain, fit.solution, marks.c_from_plane, fit.inverse, sigma)
-    to_px, alone = np.linalg.inv(plane_map.jacobian(marks.pixels)), fit.left_out()
+    alone = fit.left_out()
     return PlaneFit(
         plane_map,
         np.einsum("nij,nj->ni", to_px, fit.residuals),

@@ -114,13 +114,18 @@ def _finish_jig(
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
     placed = {marks.name: marks for marks in fit.marks}
-    planes = [
-        (s.plan, placed[s.plan.name] if s.plan.name in placed else locate_target(fit.camera, s.marks)) for s in seen
-    ]
+    planes = [(s.plan, placed.get(s.plan.name) or _located(plan, fit.camera, s)) for s in seen]
     lasers, views = find_lasers(plan, fit.camera, planes, curved=None)
     stages = find_stages(plan, fit.camera)
     verdict = judge_jig(plan, seen, fit, lasers)
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, fit, None)
+
+
+def _located(plan: CalibrationPlan, camera: AnyCamera, seen: SeenPlane) -> PlaneMarks:
+    try:
+        return locate_target(camera, seen.marks)
+    except CalibrationError as error:
+        raise CalibrationError(f"{plan.path}: {error}") from error
 
 
 def _finish_freehand(plan: CalibrationPlan, seen: list[SeenPlane], size: tuple[int, int]) -> Calibration:

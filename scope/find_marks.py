@@ -160,7 +160,13 @@ def _flatten(points: Array, pose: Pose, name: str, plan: CalibrationPlan) -> tup
         return points[:, :2], pose @ lift
     from calibration.geometry import fit_plane
 
-    plane = fit_plane(points)
+    try:
+        plane = fit_plane(points)
+    except ValueError as error:
+        raise CalibrationError(
+            f"{plan.path}: plane {name}: its {len(points)} listed marks lie on one line, from which no plane follows: list "
+            "marks beside it"
+        ) from error
     off = float(np.abs(plane.distance(points)).max())
     if off > 1e-4 * float(np.ptp(points, axis=0).max()):
         raise CalibrationError(

@@ -9,16 +9,17 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from calibration.atomic import require_folder
-from calibration.errors import FileError
+from calibration.errors import FileError, ScopeError
 from calibration.rig import Rig, sha256_of
 from scope.cloud import ScanCloud
-from scope.files import VERTEX, vertex_records
+from scope.files import VERTEX, require_format, vertex_records
 from scope.scanning import Chunk, Scan, ScanOptions, run_scan
 
 _LONGEST = 1 << 16  # bytes of a line of JSON
@@ -38,27 +39,36 @@ def scan_to_file(
     The part is removed when the scan is complete; an interrupted or failed scan leaves it, to be resumed.
     """
     require_folder(out)
+    require_format(out)
     rig = Rig.load(rig_path)
     identity = {"capture": sha256_of(capture) if capture.is_file() else "", "rig": rig.sha256, "options": repr(options)}
     part = out.with_name(out.name + ".part")
-    done: list[Chunk] = []
-    if resume:
-        done = _read_part(part, identity)
-    else:
-        part.unlink(missing_ok=True)
+    done = _read_part(part, identity) if resume else []
+    found_points = sum(len(chunk.cloud) for chunk in done)
     stream: BinaryIO | None = None
 
     def keep(chunk: Chunk) -> None:
-        nonlocal stream
-        if stream is None:
-            stream = _open_part(part, identity, done)
-        _write_chunk(stream, chunk)
+        nonlocal stream, found_points
+        found_points += len(chunk.cloud)
+        try:
+            if stream is None:
+                stream = _open_part(part, identity, done)
+            _write_chunk(stream, chunk)
+        except OSError as error:
+            raise FileError(
+                f"{part}: could not be written ({error.strerror}); free space or choose another place for the cloud"
+            ) from error
 
     try:
         found = run_scan(capture, rig, options=options, on_frame=on_frame, done=done, on_chunk=keep)
+    except ScopeError:
+        if stream is not None and found_points == 0:  # nothing that were worth resuming
+            part.unlink(missing_ok=True)
+        raise
     finally:
         if stream is not None:
-            stream.close()
+            with suppress(OSError):  # what could not be written has been told
+                stream.close()
     found.cloud.save(out)
     if not found.why_incomplete:
         part.unlink(missing_ok=True)
@@ -66,10 +76,7 @@ def scan_to_file(
 
 
 def _open_part(part: Path, identity: dict[str, str], done: list[Chunk]) -> BinaryIO:
-    try:
-        stream = part.open("wb")
-    except OSError as error:
-        raise FileError(f"{part}: cannot be written ({error.strerror}); choose another place for the cloud") from error
+    stream = part.open("wb")
     stream.write(json.dumps(identity).encode() + b"\n")
     for chunk in done:
         _write_chunk(stream, chunk)

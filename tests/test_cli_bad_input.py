@@ -200,7 +200,7 @@ def a_position_too_many(s: Folder) -> Argv:
     return s.calibrate()
 
 
-@refused("calibration.toml", "stage", "0.0000 mm a stated mm")
+@refused("calibration.toml", "stage", r"0\.000\d mm a stated mm")
 def a_stage_that_does_not_move(s: Folder) -> Argv:
     with (s / "calibration.toml").open("a", encoding="utf-8") as file:
         file.write('\n[[stage]]\nkind = "linear"\nimages = "w300/*.png"\npositions = [0.0, 10.0]\n')
@@ -303,13 +303,6 @@ def a_grid_that_cannot_be_told_apart(s: Folder) -> Argv:
 @refused("calibration.toml", "w300", "rows", "columns", "swapped|exchange|turned")
 def rows_and_columns_swapped(s: Folder) -> Argv:
     s.edit("calibration.toml", "fiducials = [[5, 7], [5, 9], [2, 7]]\nfiducial_diameter = 9.0\n", "")
-    s.edit("calibration.toml", "rows = 11\ncolumns = 15", "rows = 15\ncolumns = 11")
-    return s.calibrate()
-
-
-@refused("calibration.toml", "w300", "rows", "columns", "swapped|exchange|turned")
-def rows_and_columns_swapped_with_fiducials(s: Folder) -> Argv:
-    s.edit("calibration.toml", "[[5, 7], [5, 9], [2, 7]]", "[[7, 5], [9, 5], [7, 2]]")
     s.edit("calibration.toml", "rows = 11\ncolumns = 15", "rows = 15\ncolumns = 11")
     return s.calibrate()
 
@@ -418,13 +411,13 @@ def a_list_that_is_not_there(s: Folder) -> Argv:
     return s.calibrate()
 
 
-@refused("calibration.toml", "w300", "off one plane", "plane of its own")
+@refused("calibration.toml", "w300", "off one plane", r"\[\[plane\]\] of its own")
 def listed_marks_off_one_plane(s: Folder) -> Argv:
     listed(s, [(x, y, 0.01 * (x - 80) ** 2, u, v) for x, y, _, u, v in grid_rows(9, 12)])
     return s.calibrate()
 
 
-@refused("calibration.toml", "w300", "0 of 12|of 12 listed marks", "polarity")
+@refused("calibration.toml", "w300", "grey levels", "exposure")
 def listed_marks_where_there_are_none(s: Folder) -> Argv:
     for name in list(s.every("w300/*.png")):
         s.write(name, np.zeros((480, 640), np.uint8))
