@@ -149,7 +149,9 @@ def _primitive(index: Ints, on: Bools) -> Ints:
         ):
             odd = float(np.mean(test % 2))
             if min(odd, 1.0 - odd) < 0.03:
-                index = halved(index - np.array([1, 0]) if odd > 0.5 and test is not j else index - np.array([0, int(odd > 0.5)]))
+                index = halved(
+                    index - np.array([1, 0]) if odd > 0.5 and test is not j else index - np.array([0, int(odd > 0.5)])
+                )
                 break
         else:
             break

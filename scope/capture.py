@@ -84,7 +84,7 @@ class CaptureSection(Section):
     background: str | None = None
     background_mode: Literal["mean", "paired", "alternate"] | None = None
     channel: Channel = "auto"
-    lasers: Annotated[Annotated[list[str], Field(min_length=1)] | None, BeforeValidator(_names)] = None
+    lasers: Annotated[list[str] | None, BeforeValidator(_names)] = None
     sequence: Literal["together", "cycle"] = "together"
     motion: MotionSection = MotionSection()
 
@@ -95,8 +95,10 @@ class CaptureSection(Section):
             raise ValueError(f"found {' and '.join(given) or 'none'} of images, video, camera; exactly one is needed")
         if self.frames is not None and self.camera is None:
             raise ValueError("frames is for a live camera; files say themselves how many they are")
-        if self.lasers is not None and len(set(self.lasers)) < len(self.lasers):
-            raise ValueError(f"lasers names {self.lasers}; name each once")
+        if self.lasers is not None and not 0 < len(set(self.lasers)) == len(self.lasers):
+            raise ValueError(
+                f"lasers names {self.lasers or 'none'}; name one or more, each once, or leave it out for all"
+            )
         if self.background_mode == "paired" and (self.background is None or self.images is None):
             raise ValueError('background_mode = "paired" needs images and background, one for each frame')
         if self.background_mode == "alternate" and self.background is not None:

@@ -72,7 +72,10 @@ def see_plane(plan: CalibrationPlan, plane: PlanePlan) -> SeenPlane:
         raise CalibrationError(f"{plan.path}: plane {plane.name}: {error}") from error
     points, pose, expected = _positions(plan, plane, found.mark)
     marks = PlaneMarks(plane.name, found.pixels, points, pose, found.mark, found.covariance)
-    marks, shift = _centred(marks, _radii(plan, marks, found))
+    try:
+        marks, shift = _centred(marks, _radii(plan, marks, found))
+    except CalibrationError as error:
+        raise CalibrationError(f"{plan.path}: {error}") from error
     repeat, noise = _repeats(plan, plane, images, found)
     return SeenPlane(
         plane, marks, found.found, expected, found.rejected, _median(found.diameter), _median(found.contrast),
