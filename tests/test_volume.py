@@ -26,7 +26,7 @@ def test_it_is_the_hull_of_its_points() -> None:
     volume = Volume.around(points, np.array([0.0, 0.0, 1.0]))
     mixed = rng.dirichlet(np.ones(200), 500) @ points
     assert volume.contains(mixed).all()
-    assert volume.contains(points, margin=1e-9).all()
+    assert volume.contains(points, margin=1e-6).all()
 
 
 def test_everywhere_and_nowhere() -> None:
