@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cli import calibrate, measure, scan, view
+from cli import calibrate, locate, measure, scan, view
 from scope.version import __version__
 
 app = typer.Typer(
@@ -34,7 +34,7 @@ def root(
     """Lengths are mm, angles degrees, pixels (u, v) = (column, row) from the centre of the first pixel."""
 
 
-for _commands in (calibrate, scan, measure, view):
+for _commands in (calibrate, scan, measure, locate, view):
     _commands.register(app)
 
 

@@ -145,7 +145,9 @@ def see_surfaces(
                         g, j = f + a * stride[0], i + b * stride[1]
                         if g < 0 or g >= frames or j < 0 or j >= lines or not patches[g, j, CHI] < SMOOTH:
                             continue
-                        gap = _away(patches[g, j], _vector(points[f, i]), _vector(view[f, i]), -a, -b, sigma[f, i], sigma[g, j])
+                        gap = _away(
+                            patches[g, j], _vector(points[f, i]), _vector(view[f, i]), -a, -b, sigma[f, i], sigma[g, j]
+                        )
                         if abs(gap) < abs(nearest):
                             nearest, best_a, best_b = gap, a, b
                 if nearest == np.inf:
@@ -252,5 +254,5 @@ def _cross(a: Vector, b: Vector) -> Vector:
 
 @compiled
 def _minus(a: Vector, b: Vector, share: float) -> Vector:
-    """a - share b."""
+    """A - share b."""
     return (a[0] - share * b[0], a[1] - share * b[1], a[2] - share * b[2])

@@ -15,7 +15,7 @@ from scope.pose_model import Model, Surface, distinct
 from scope.pose_refine import evaluate, refine
 from scope.pose_report import what_differs
 from scope.pose_search import View, normals_of, polish, search, thin
-from scope.pose_uncertainty import shared_errors, uncertainty
+from scope.pose_uncertainty import Uncertainty, shared_errors, uncertainty
 
 
 def locate(
