@@ -268,7 +268,8 @@ class _Plan:
         if self.options.normals:
             from scope.normals import lattice_normals
 
-            cloud = replace(cloud, normals=lattice_normals(cloud))
+            stored = cloud.points.astype(np.float32).astype(np.float64)  # as a resumed scan finds them
+            cloud = replace(cloud, normals=lattice_normals(replace(cloud, points=stored)))
         return Scan(cloud, frames, sum(chunk.empty for chunk in chunks), dict(rejected), seconds, why)
 
     def _sensors(self, frames: list[int]) -> Sensors:

@@ -120,7 +120,10 @@ class Truth:
     def directions(self, pixels: np.ndarray) -> np.ndarray:
         """Directions (n, 3) of unit depth, by OpenCV's inverse."""
         flat = cv2.undistortPoints(
-            pixels[:, None], self.matrix, self.distortion, criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-14)
+            pixels[:, None],
+            self.matrix,
+            self.distortion,
+            criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-14),
         )[:, 0]
         return np.column_stack([flat, np.ones(len(flat))])
 
@@ -137,7 +140,9 @@ class Truth:
     def jig(self, *, noise: float = 0.0, rng: np.random.Generator | None = None, tilt: float = 0.0) -> list[PlaneMarks]:
         """Marks at five stand-offs from 320 to 480 mm."""
         return [
-            self.marks(Pose.from_rotation_vector([0.0, np.deg2rad(tilt), 0.0], [0.0, 0.0, z]), f"w{z}", noise=noise, rng=rng)
+            self.marks(
+                Pose.from_rotation_vector([0.0, np.deg2rad(tilt), 0.0], [0.0, 0.0, z]), f"w{z}", noise=noise, rng=rng
+            )
             for z in (320, 360, 400, 440, 480)
         ]
 

@@ -24,16 +24,24 @@ def some_rays(n: int) -> Rays:
 class TestPose:
     @given(vectors)
     def test_rotation_vector_is_scipys(self, w: np.ndarray) -> None:
-        assert np.abs(Pose.from_rotation_vector(w, np.zeros(3)).rotation - Rotation.from_rotvec(w).as_matrix()).max() < 1e-14
+        assert (
+            np.abs(Pose.from_rotation_vector(w, np.zeros(3)).rotation - Rotation.from_rotvec(w).as_matrix()).max()
+            < 1e-14
+        )
 
     @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-7, np.pi, 2 * np.pi])
     def test_special_angles(self, angle: float) -> None:
         w = angle * np.array([2.0, -1.0, 2.0]) / 3
-        assert np.abs(Pose.from_rotation_vector(w, np.zeros(3)).rotation - Rotation.from_rotvec(w).as_matrix()).max() < 1e-15
+        assert (
+            np.abs(Pose.from_rotation_vector(w, np.zeros(3)).rotation - Rotation.from_rotvec(w).as_matrix()).max()
+            < 1e-15
+        )
 
     @given(vectors, vectors, vectors, vectors)
     @settings(max_examples=50)
-    def test_composition_and_inverse_are_those_of_the_matrices(self, a: np.ndarray, b: np.ndarray, s: np.ndarray, t: np.ndarray) -> None:
+    def test_composition_and_inverse_are_those_of_the_matrices(
+        self, a: np.ndarray, b: np.ndarray, s: np.ndarray, t: np.ndarray
+    ) -> None:
         one, two = Pose.from_rotation_vector(a, s), Pose.from_rotation_vector(b, t)
         assert np.allclose((one @ two).matrix, one.matrix @ two.matrix, atol=1e-13)
         assert np.allclose(one.inverse.matrix, np.linalg.inv(one.matrix), atol=1e-13)
@@ -49,7 +57,12 @@ class TestPose:
 
     @pytest.mark.parametrize(
         ("change", "text"),
-        [((0, 0, 2.0), "no rotation"), ((3, 1, 0.5), "last row"), ((0, 3, np.nan), "finite"), ((3, 3, 0.0), "last row")],
+        [
+            ((0, 0, 2.0), "no rotation"),
+            ((3, 1, 0.5), "last row"),
+            ((0, 3, np.nan), "finite"),
+            ((3, 3, 0.0), "last row"),
+        ],
     )
     def test_what_is_no_motion_is_refused(self, change: tuple[int, int, float], text: str) -> None:
         matrix = np.eye(4)
@@ -92,7 +105,9 @@ class TestFitPlane:
         best = fit_plane(points)
         least = (best.distance(points) ** 2).sum()
         for _ in range(50):
-            other = Plane.through(points.mean(axis=0) + RNG.normal(size=3) * 0.01, best.normal + RNG.normal(size=3) * 1e-3)
+            other = Plane.through(
+                points.mean(axis=0) + RNG.normal(size=3) * 0.01, best.normal + RNG.normal(size=3) * 1e-3
+            )
             assert (other.distance(points) ** 2).sum() >= least
 
     def test_weight_two_is_the_same_point_twice(self) -> None:

@@ -32,7 +32,9 @@ def test_direction_sigma_is_that_of_repetition() -> None:
     rng, s = np.random.default_rng(1), np.array([0.0, 20.0, 40.0])
     stages = [fit_linear(MARKS + s[:, None, None] * AXIS + rng.normal(0, 0.05, (3, 40, 3)), s) for _ in range(400)]
     across = np.cross([st.direction for st in stages], AXIS)
-    assert np.sqrt((across**2).sum(axis=1).mean() / 2) == pytest.approx(np.mean([st.direction_sigma for st in stages]), rel=0.1)
+    assert np.sqrt((across**2).sum(axis=1).mean() / 2) == pytest.approx(
+        np.mean([st.direction_sigma for st in stages]), rel=0.1
+    )
 
 
 @pytest.mark.parametrize("start", [0.0, 1.0])

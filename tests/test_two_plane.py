@@ -40,7 +40,14 @@ def test_rays_meet_the_exact_camera_between_the_planes(truth, camera: TwoPlaneCa
 
 def test_near_takes_the_two_planes_nearest(camera: TwoPlaneCamera) -> None:
     pixels = inner_pixels(4)
-    for near, (first, second) in {300.0: (0, 1), 350.0: (0, 1), 399.0: (1, 2), 401.0: (2, 3), 470.0: (3, 4), 900.0: (3, 4)}.items():
+    for near, (first, second) in {
+        300.0: (0, 1),
+        350.0: (0, 1),
+        399.0: (1, 2),
+        401.0: (2, 3),
+        470.0: (3, 4),
+        900.0: (3, 4),
+    }.items():
         rays = camera.rays(pixels, near=near)
         for k in (first, second):
             assert rays.distance_to(camera.maps[k].points(pixels)).max() < 1e-9
@@ -60,13 +67,19 @@ def test_a_turned_jig_gives_turned_rays(truth) -> None:
     jig = truth.jig()
     moved = [type(m)(m.name, m.pixels, m.points, turn @ m.c_from_plane, m.mark, m.covariance) for m in jig]
     pixels = inner_pixels(50)
-    plain, turned = fit_two_plane(jig, SIZE, order=5).camera.rays(pixels), fit_two_plane(moved, SIZE, order=5).camera.rays(pixels)
+    plain, turned = (
+        fit_two_plane(jig, SIZE, order=5).camera.rays(pixels),
+        fit_two_plane(moved, SIZE, order=5).camera.rays(pixels),
+    )
     assert turned.distance_to(turn.apply(plain.at_depth(400.0))).max() < 1e-3
     assert np.abs(turned.direction - plain.direction @ turn.rotation.T).max() < 1e-5
 
 
 def test_nothing_is_known_of_no_pixel(camera: TwoPlaneCamera) -> None:
-    for rays in (camera.rays(np.full((2, 2), np.nan)), with_model(camera, "two-plane").rays(np.full((2, 2), np.nan), near=400.0)):
+    for rays in (
+        camera.rays(np.full((2, 2), np.nan)),
+        with_model(camera, "two-plane").rays(np.full((2, 2), np.nan), near=400.0),
+    ):
         assert np.isnan(rays.direction).all()
     assert len(camera.rays(np.zeros((0, 2)))) == 0
     assert len(camera.rays(np.zeros((0, 2)), near=400.0)) == 0
@@ -76,7 +89,10 @@ def test_the_centre_of_a_pinhole_is_found(camera: TwoPlaneCamera) -> None:
     assert np.linalg.norm(centre_of(camera.rays(inner_pixels()))) < 0.1
 
 
-@pytest.mark.parametrize(("keep", "text"), [([0], "one plane"), ([], "one plane"), ([1, 1], "w360 and w360.*360"), ([0, 2, 2], "w400 and w400")])
+@pytest.mark.parametrize(
+    ("keep", "text"),
+    [([0], "one plane"), ([], "one plane"), ([1, 1], "w360 and w360.*360"), ([0, 2, 2], "w400 and w400")],
+)
 def test_planes_that_do_not_suffice(truth, keep: list[int], text: str) -> None:
     jig = truth.jig()
     with pytest.raises(CalibrationError, match=text):
