@@ -143,6 +143,7 @@ class CalibrationSection(Section):
 class ListedMarks:
     """Marks listed one by one for one plane."""
 
+    path: Path
     points: Array  # (n, 3) mm, target frame
     pixels: Array  # (n, 2) px, about where each is seen
     refine: bool  # whether the centroid nearest to the pixel is measured
@@ -199,6 +200,7 @@ class CalibrationPlan:
         found = [self.path]
         for plane in self.planes:
             found += plane.images
+            found += [] if plane.listed is None else [plane.listed.path]
             for group in (*plane.lasers.values(), *plane.backgrounds.values()):
                 found += group
         for stage in self.stages:
@@ -317,7 +319,7 @@ def _listed(path: Path, refine: bool, mm: float) -> ListedMarks:
     if len(values["x"]) > _MOST_MARKS:
         raise FileError(f"{path}: {len(values['x'])} marks; at most {_MOST_MARKS} are read: is it the right file?")
     points = np.stack([values["x"], values["y"], values["z"]], axis=1) * mm
-    return ListedMarks(points, np.stack([values["u"], values["v"]], axis=1), refine)
+    return ListedMarks(path, points, np.stack([values["u"], values["v"]], axis=1), refine)
 
 
 def _stage(path: Path, section: StageSection, mm: float) -> StagePlan:

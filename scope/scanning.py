@@ -343,7 +343,8 @@ class Plan:
         if self.options.normals:
             from scope.normals import lattice_normals
 
-            cloud = replace(cloud, normals=lattice_normals(cloud))
+            stored = cloud.points.astype(np.float32).astype(np.float64)  # as a resumed scan finds them
+            cloud = replace(cloud, normals=lattice_normals(replace(cloud, points=stored)))
         cloud, removed = filtered(cloud, self.options.filters)
         return self.scan(lambda: cloud, tally, why, seconds, points=len(cloud), filtered=removed, agreement=agreement)
 

@@ -118,7 +118,7 @@ class TestFitPlane:
 
     @pytest.mark.parametrize("points", [np.zeros((2, 3)), np.outer(np.arange(5.0), [1.0, 2.0, 3.0])])
     def test_no_plane_from_a_line(self, points: np.ndarray) -> None:
-        with pytest.raises(ValueError, match="three points|one line"):
+        with pytest.raises(ValueError, match=r"three points|one line"):
             fit_plane(points)
 
 

@@ -93,5 +93,5 @@ def test_too_few_marks_are_refused(truth, count: int, order: str | int) -> None:
 def test_marks_on_a_line_are_refused(truth, tilted: bool) -> None:
     marks = truth.marks(flat(), "w7")
     row = marks.select(np.arange(len(marks)) < 17)
-    with pytest.raises(CalibrationError, match="w7.*one line"):
+    with pytest.raises(CalibrationError, match=r"w7.*one line"):
         fit_plane_map(row, order=1, tilted=tilted)

@@ -48,7 +48,7 @@ def test_turntable(start: float) -> None:
 def test_a_stage_that_does_not_do_as_told() -> None:
     with pytest.raises(CalibrationError, match="all 3 positions are 5"):
         fit_linear(np.tile(MARKS, (3, 1, 1)), np.full(3, 5.0))
-    with pytest.raises(CalibrationError, match="0.0000 mm a stated mm"):
+    with pytest.raises(CalibrationError, match=r"0.0000 mm a stated mm"):
         fit_linear(np.tile(MARKS, (3, 1, 1)), np.arange(3.0))
     with pytest.raises(CalibrationError, match=r"1\.00 degrees"):
         fit_turntable(turned(np.deg2rad([0.0, 1.0])), np.deg2rad([0.0, 1.0]))

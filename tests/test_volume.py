@@ -32,5 +32,5 @@ def test_it_is_the_hull_of_its_points() -> None:
 def test_everywhere_and_nowhere() -> None:
     assert Volume.everywhere().contains(np.array([[1e9, 0, 0]])).all()
     for flat in (BOX * [1, 1, 0], BOX * [1, 0, 0]):
-        with pytest.raises(ValueError, match="one plane|no volume"):
+        with pytest.raises(ValueError, match=r"one plane|no volume"):
             Volume.around(flat, np.array([0.0, 0.0, 1.0]))
