@@ -118,7 +118,9 @@ def main(wanted: set[str]) -> None:
         folder = Path(name)
         rig = rig_and_frames(folder)
         if "time" in wanted:
-            print(f"| scanning 500 frames over decoding them | 1 | {time_ratio(folder, rig):.2f} | <= 1.15 |", flush=True)
+            print(
+                f"| scanning 500 frames over decoding them | 1 | {time_ratio(folder, rig):.2f} | <= 1.15 |", flush=True
+            )
         if "memory" in wanted:
             (few, small), (many, large) = (peak(capture_of(folder, count), rig) for count in (200, 2000))
             print(f"| peak memory, {many} points over {few} | 1 | {large / small:.3f} | <= 1.05 |", flush=True)

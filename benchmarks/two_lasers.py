@@ -64,7 +64,9 @@ def session(folder: Path, sequence: Sequence, *, frames: int, scale: float = 1.0
         table = ", ".join(f'{name} = "{plane}-{name}/*.png"' for name in NAMES)
         planes_text = planes_text.replace(f'laser = "{plane}/*.png"', f"laser = {{{table}}}")
         planes_text = planes_text.replace(f'images = "{stem}/*.png"', f'images = "../red/{stem}/*.png"')
-    lasers = "".join(f"[laser.{name}]\norigin = [0.0, {side}, 5.0]\n\n" for name, side in zip(NAMES, (-180.0, 180.0), strict=True))
+    lasers = "".join(
+        f"[laser.{name}]\norigin = [0.0, {side}, 5.0]\n\n" for name, side in zip(NAMES, (-180.0, 180.0), strict=True)
+    )
     (out / "calibration.toml").write_text(text[:start] + lasers + planes_text)
     capture = (folder / "red" / "capture.toml").read_text()
     capture = capture.replace("[motion]", f'sequence = "{sequence}"\n\n[motion]')

@@ -82,7 +82,11 @@ def _compare(cloud: ScanCloud, first: int, second: int, size: float) -> Agreemen
     off = np.einsum("ni,ni->n", gap, normal)
     beside = np.linalg.norm(gap - off[:, None] * normal, axis=1)
     noise = np.bincount(label, chosen.sigma.astype(np.float64) ** 2, cells)[both] / total
-    use = (spread[:, 0] < 3.0 * np.sqrt(noise) + _FLAT * size) & (spread[:, 1] > _ROUND * spread[:, 2]) & (beside < 0.25 * size)
+    use = (
+        (spread[:, 0] < 3.0 * np.sqrt(noise) + _FLAT * size)
+        & (spread[:, 1] > _ROUND * spread[:, 2])
+        & (beside < 0.25 * size)
+    )
     names = cloud.laser_names
     if not use.any():
         return Agreement(names[first], names[second], 0, *[float("nan")] * 4)

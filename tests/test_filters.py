@@ -99,7 +99,9 @@ def test_an_empty_cloud_passes_every_filter() -> None:
     assert removed == {"isolated": 0, "incidence": 0, "voxel": 0}
 
 
-@pytest.mark.parametrize("wrong", [{"isolated": 0}, {"isolated": 9}, {"max_incidence": 0.0}, {"max_incidence": 91.0}, {"voxel": 0.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"isolated": 0}, {"isolated": 9}, {"max_incidence": 0.0}, {"max_incidence": 91.0}, {"voxel": 0.0}]
+)
 def test_impossible_options_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         FilterOptions(**wrong)  # type: ignore[arg-type]

@@ -124,7 +124,9 @@ def test_a_camera_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.Monke
         open_source(read_capture(capture(tmp_path, "camera = 3")))
 
 
-@pytest.mark.parametrize(("asked", "told"), [("frames = 9", "ended after 6 of 9 frames"), ("", "stopped after 6 frames")])
+@pytest.mark.parametrize(
+    ("asked", "told"), [("frames = 9", "ended after 6 of 9 frames"), ("", "stopped after 6 frames")]
+)
 def test_a_camera_that_stops_keeps_what_it_gave(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: str, told: str
 ) -> None:
