@@ -34,6 +34,7 @@ class OpenCv:
 
     @classmethod
     def fit(cls, marks: list[PlaneMarks], flags: int) -> OpenCv:
+        """Fit to marks with OpenCV's flags."""
         points = np.concatenate([m.world for m in marks]).astype(np.float32)
         pixels = np.concatenate([m.pixels for m in marks]).astype(np.float32)
         start = np.array([[1300.0, 0, 640], [0, 1300, 480], [0, 0, 1]])
@@ -44,6 +45,7 @@ class OpenCv:
         return cls(k, d, cv2.Rodrigues(r[0])[0], t[0].ravel())
 
     def rays(self, pixels: Array) -> Rays:
+        """Rays in C of pixels (N, 2)."""
         flat = cv2.undistortPoints(pixels[:, None], self.matrix, self.distortion, None, None, None, (3, 200, 1e-15))[
             :, 0
         ]

@@ -22,6 +22,7 @@ from scope.roughness_areal import height_parameters
 from scope.roughness_estimate import raw_parameters
 
 SIZE = 1000
+COUPONS = 6
 GROUPS = {
     "heights (Sa Sq Ssk Sku Sp Sv Sz Sxp)": ("Sa", "Sq", "Ssk", "Sku", "Sp", "Sv", "Sz", "Sxp"),
     "slopes (Sdq Sdr)": ("Sdq", "Sdr"),
@@ -159,7 +160,7 @@ def noise() -> None:
     print("| --- | --- | --- | --- | --- | --- |")
     for points, length in ((160, 10.0), (400, 10.0), (400, 20.0)):
         ratios, covered = [], []
-        for seed in range(10):
+        for seed in range(COUPONS):
             rng = np.random.default_rng(1000 + seed)
             z = random_surface((points, points), length / 2.0, rng)
             truth = float(remove_form(HeightMap(z, (0.1, 0.1)), "plane").z.std())
@@ -172,17 +173,17 @@ def noise() -> None:
         low, high = np.min(ratios, axis=0), np.max(ratios, axis=0)
         cells = " | ".join(f"{a:.3f} to {b:.3f}" for a, b in zip(low, high, strict=True))
         print(
-            f"| Sq, {points} x {points}, correlation length {length:g} samples, 10 coupons | {cells} | {' '.join(f'{n}/10' for n in np.sum(covered, axis=0))} |"
+            f"| Sq, {points} x {points}, correlation length {length:g} samples, {COUPONS} coupons | {cells} | {' '.join(f'{n}/{COUPONS}' for n in np.sum(covered, axis=0))} |"
         )
     slopes()
 
 
 def slopes() -> None:
-    print("| slopes under noise, 400 x 400, with a repeat, 10 coupons | raw Sdq | Sdq | Sdr | withheld |")
+    print(f"| slopes under noise, 400 x 400, with a repeat, {COUPONS} coupons | raw Sdq | Sdq | Sdr | withheld |")
     print("| --- | --- | --- | --- | --- |")
     for length in (10.0, 20.0):
         rows, withheld, reason = [], 0, ""
-        for seed in range(10):
+        for seed in range(COUPONS):
             rng = np.random.default_rng(2000 + seed)
             z = random_surface((400, 400), length / 2.0, rng)
             truth = raw_parameters(remove_form(HeightMap(z, (0.1, 0.1)), "plane").z, (0.1, 0.1)).raw
@@ -201,7 +202,7 @@ def slopes() -> None:
             low, high = np.nanmin(rows, axis=0), np.nanmax(rows, axis=0)
         cells = " | ".join("-" if math.isnan(a) else f"{a:.3f} to {b:.3f}" for a, b in zip(low, high, strict=True))
         print(
-            f"| correlation length {length:g} samples | {cells} | {withheld} of 10{': ' + reason if reason else ''} |"
+            f"| correlation length {length:g} samples | {cells} | {withheld} of {COUPONS}{': ' + reason if reason else ''} |"
         )
 
 

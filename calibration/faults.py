@@ -8,7 +8,7 @@ in docs/method.md: an affine change of space that keeps the planes changes nothi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -21,7 +21,9 @@ from calibration.faults_search import (
     Evidence,
     Explained,
     Hypothesis,
+    Misplacement,
     alternatives,
+    best_single,
     choose,
 )
 from calibration.geometry import Array
@@ -33,7 +35,8 @@ from calibration.redundancy import Redundancy, redundancy_of
 FaultKind: TypeAlias = Literal[
     "slip", "rotation", "stand_off", "tilt", "pitch", "swapped", "labelling", "mark", "moved"
 ]
-ROUNDS = 8  # of correction, until the faults no longer change
+ROUNDS = 12  # of correction, until the faults no longer change
+GROSS = 1e3  # times the evidence that noise gives: so much that the modes may no longer be linear
 MOST_MARKS = 0.05  # of all marks that may be dropped one by one; more are no matter of single marks
 
 
@@ -103,6 +106,10 @@ def find_faults(
         return tuple(faults)
     basis = fit_ray_field(list(rest), orders=(3, 1)).field if field is None or mixed else field
     state = _explain(rest, basis)
+    for k, other in _could_be_one(state.choice.hypotheses):
+        simpler = _explain(rest, basis, first=Hypothesis(k, other))
+        if len(simpler.choice.hypotheses) < len(state.choice.hypotheses):
+            state = simpler
     faults += [_of_hypothesis(h, state, lattice) for h in state.choice.hypotheses]
     faults += _of_marks(state, basis)
     return tuple(faults)
@@ -121,9 +128,21 @@ class _State:
     fit: Explained
 
 
-def _explain(stated: Sequence[PlaneMarks], basis: RayField) -> _State:
-    """Choose faults, put planes right by them, and again, until neither faults nor marks change."""
-    kept = tuple(np.ones(len(p), dtype=bool) for p in stated)
+def _could_be_one(chosen: tuple[Hypothesis, ...]) -> list[tuple[int, Misplacement]]:
+    """Planes with a slip beside a wrong pitch or stand-off, which could be the other of the two alone."""
+    other: dict[Misplacement, Misplacement] = {"pitch": "stand_off", "stand_off": "pitch"}
+    slipped = {h.plane for h in chosen if h.kind in {"slip", "rotation"}}
+    return [(h.plane, other[h.kind]) for h in chosen if h.kind in other and h.plane in slipped]
+
+
+def _explain(stated: Sequence[PlaneMarks], basis: RayField, first: Hypothesis | None = None) -> _State:
+    """Choose faults, put planes right by them, and again, until neither faults nor marks change.
+
+    The first round follows one hypothesis only, the best or ``first``: far from the truth the modes are not linear, and
+    several together would mend each other.
+    """
+    every = tuple(np.ones(len(p), dtype=bool) for p in stated)
+    kept = every
     amounts = np.zeros((len(stated), MODES))
     chosen: tuple[Hypothesis, ...] = ()
     for turn in range(ROUNDS):
@@ -135,15 +154,22 @@ def _explain(stated: Sequence[PlaneMarks], basis: RayField) -> _State:
             kept = worse
             continue
         score = redundancy.score + redundancy.information @ amounts.ravel()
-        choice = choose(Evidence.of(score, redundancy.information))
+        evidence = Evidence.of(score, redundancy.information)
+        choice = choose(evidence)
+        if not chosen and len(choice.hypotheses) > 1 and evidence.total > GROSS * len(evidence.z):
+            choice = replace(choice, hypotheses=(best_single(choice.evidence),))
+        if not chosen and choice.hypotheses and first is not None:
+            choice = replace(choice, hypotheses=(first,))
         fit = choice.evidence.fit(choice.hypotheses)
         step = np.zeros(MODES * len(stated))
         step[list(fit.columns)] = fit.amounts
         change = np.abs(step - amounts.ravel())[list(fit.columns)]
-        settled = choice.hypotheses == chosen and bool(np.all(change <= 0.1 * np.sqrt(np.diag(fit.covariance))))
+        same = choice.hypotheses == chosen
         chosen, amounts = choice.hypotheses, step.reshape(-1, MODES)
-        if settled:
+        if same and np.all(change <= 0.1 * np.sqrt(np.diag(fit.covariance))):
             break
+        if not same:
+            kept = every  # marks that looked bad beside a misplaced plane get another hearing
     return _State(tuple(stated), right, kept, redundancy, choice, amounts, fit)
 
 

@@ -162,6 +162,11 @@ def choose(evidence: Evidence) -> Choice:
     return Choice(chosen, tempered, scatter)
 
 
+def best_single(evidence: Evidence) -> Hypothesis:
+    """The one misplacement that explains most for its parameters."""
+    return max(singles(evidence.planes), key=lambda h: evidence.fit((h,)).score)
+
+
 def _left_over(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> bool:
     from scipy.stats import chi2
 

@@ -87,8 +87,13 @@ def _grow(points: Array, start: Ints, basis: Array, reach: int, tolerance: float
     while True:
         # the cells beside what is known, best supported first
         count = 0
-        for i in range(2, side - 2):
-            for j in range(2, side - 2):
+        i0, i1, j0, j1 = side, 0, side, 0
+        for k in range(n):
+            if cell[k, 0] >= 0:
+                i0, i1 = min(i0, cell[k, 0]), max(i1, cell[k, 0])
+                j0, j1 = min(j0, cell[k, 1]), max(j1, cell[k, 1])
+        for i in range(max(2, i0 - step), min(side - 2, i1 + step + 1)):
+            for j in range(max(2, j0 - step), min(side - 2, j1 + step + 1)):
                 if where[i, j] >= 0:
                     continue
                 support = 0.0

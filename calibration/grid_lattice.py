@@ -6,7 +6,7 @@ locally affine. `calibration.grid` finds out how it lies on the target.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,10 +108,10 @@ def _straighten(points: Array, grown: Lattice) -> Lattice:
         where = (index - middle) / span
         weight = np.ones(int(kept.sum()))
         for _ in range(4):
-            guess = _to_index(p, p[kept], where[kept], weight, order)
-            residual = np.linalg.norm(guess[kept] - where[kept], axis=1) * span
+            to_index = _index_map(p[kept], where[kept], weight, order)
+            residual = np.linalg.norm(to_index(p[kept]) - where[kept], axis=1) * span
             weight = 1.0 / (1.0 + (residual / max(0.03, 1.5 * float(np.median(residual)))) ** 2)
-        guess = guess * span + middle
+        guess = to_index(p) * span + middle
         nearest = np.round(guess).astype(np.int64)
         off = np.abs(guess - nearest).max(axis=1)
         spread = float(np.median(off[kept]))
@@ -123,10 +123,7 @@ def _straighten(points: Array, grown: Lattice) -> Lattice:
         new = np.zeros(len(points), np.bool_)
         new[candidates[first]] = True
         settled = bool((new == kept).all() and (nearest[kept] == index[kept]).all())
-        east, south = (
-            (_to_index(p + d, p[kept], where[kept], weight, order) * span + middle - guess) / (step * scale)
-            for d in np.eye(2) * step
-        )
+        east, south = ((to_index(p + d) * span + middle - guess) / (step * scale) for d in np.eye(2) * step)
         side = 1.0 / np.sqrt(np.abs(east[:, 0] * south[:, 1] - east[:, 1] * south[:, 0]) + 1e-12)
         strays = int((((nearest >= low) & (nearest <= high)).all(axis=1) & ~new).sum())
         index, kept = np.where(new[:, None], nearest, -1), new
@@ -135,25 +132,36 @@ def _straighten(points: Array, grown: Lattice) -> Lattice:
     return Lattice(index, kept, side, strays)
 
 
-def _to_index(p: Array, known: Array, where: Array, weight: Array, order: int) -> Array:
-    """Places (N, 2) in the lattice of points (N, 2), by a map fitted to known ones: homography, then polynomial."""
-    one = np.ones(len(known))
+def _index_map(known: Array, where: Array, weight: Array, order: int) -> Callable[[Array], Array]:
+    """Map of points (N, 2) to places in the lattice, fitted to known ones: a homography, then a polynomial."""
     a = np.zeros((2 * len(known), 8))
-    a[::2, :3] = a[1::2, 3:6] = np.column_stack([known, one])
+    a[::2, :2] = a[1::2, 3:5] = known
+    a[::2, 2] = a[1::2, 5] = 1.0
     a[::2, 6:], a[1::2, 6:] = -where[:, :1] * known, -where[:, 1:] * known
-    w = np.sqrt(np.repeat(weight, 2))
-    h = np.append(np.linalg.lstsq(a * w[:, None], where.ravel() * w, rcond=None)[0], 1.0).reshape(3, 3)
-
-    def flat(q: Array) -> Array:
-        image = np.column_stack([q, np.ones(len(q))]) @ h.T
-        return np.asarray(image[:, :2] / np.where(np.abs(image[:, 2:]) < 1e-9, 1e-9, image[:, 2:]))
+    w = np.repeat(weight, 2)[:, None]
+    normal = a.T @ (w * a)
+    h = np.linalg.solve(normal + 1e-12 * np.trace(normal) * np.eye(8), (w * a).T @ where.ravel())
 
     def terms(q: Array) -> Array:
-        x, y = np.clip(q, -3.0, 3.0).T
-        return np.stack([x**m * y**n for m in range(order + 1) for n in range(order + 1 - m)], axis=1)
+        below = q @ h[6:] + 1.0
+        below = np.where(np.abs(below) < 1e-9, 1e-9, below)
+        x, y = np.clip((q @ h[:2] + h[2]) / below, -3.0, 3.0), np.clip((q @ h[3:5] + h[5]) / below, -3.0, 3.0)
+        one = np.ones_like(x)
+        xs, ys = [one], [one]
+        for _ in range(order):
+            xs.append(xs[-1] * x)
+            ys.append(ys[-1] * y)
+        return np.stack([xs[m] * ys[n] for m in range(order + 1) for n in range(order + 1 - m)], axis=1)
 
-    basis, w = terms(flat(known)), np.sqrt(weight)
-    return np.asarray(terms(flat(p)) @ np.linalg.lstsq(basis * w[:, None], where * w[:, None], rcond=None)[0])
+    basis, root = terms(known), np.sqrt(weight)[:, None]
+    left, right = np.linalg.qr(basis * root)
+    # a diagonal that is nothing belongs to a term that the points do not tell apart from the others
+    sure = np.abs(np.diag(right)) > 1e-9 * np.abs(np.diag(right)).max()
+    if sure.all():
+        factor = np.linalg.solve(right, left.T @ (where * root))
+    else:
+        factor = np.linalg.lstsq(basis * root, where * root, rcond=1e-9)[0]
+    return lambda q: np.asarray(terms(q) @ factor)
 
 
 def _primitive(index: Ints, on: Bools) -> Ints:

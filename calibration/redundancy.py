@@ -37,6 +37,12 @@ class Redundancy:
     shift_px: Array  # (N, 2) by which each mark, taken by itself, is off
     shift_chi2: Array  # (N,) its square over its covariance; chi-square with 2 degrees of freedom for a good mark
     shift_sigma: Array  # (N,) px, standard error of the shift, a coordinate
+    mark: Ints  # (m,) numbers of the marks of the target
+    target_shift: (
+        Array  # (m, 2) mm by which each stands off its stated place, in the target's coordinates; 0 where not seen
+    )
+    moved_px: Array  # (N, 2) what the placement of its plane adds to the residual of each mark about the field
+    rank: int  # of the modes: how many of their combinations the planes determine
 
     @property
     def planes(self) -> int:
@@ -53,6 +59,7 @@ class _Rows:
     back: Ints  # (N,) and back
     plane: Ints  # (N,)
     first: Ints  # (m,) first row of each mark
+    mark: Ints  # (m,) its number
     pixels: Array  # (N, 2)
     world: Array  # (N, 3) mm in D
 
@@ -64,7 +71,7 @@ class _Rows:
         plane = np.repeat(np.arange(len(planes)), [len(p) for p in planes])[order]
         pixels = np.concatenate([p.pixels for p in planes])[order]
         world = (np.concatenate([p.world for p in planes]) @ c_from_d)[order]
-        return cls(tuple(planes), order, np.argsort(order), plane, first, pixels, world)
+        return cls(tuple(planes), order, np.argsort(order), plane, first, mark[order][first], pixels, world)
 
     def gather(self, blocks: list[Array]) -> Array:
         """Arrays a plane, as one in this order."""
@@ -114,7 +121,7 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
     solution = _solve(rows, x, spread, terms, 0.0)
     ratio = _target_ratio(rows, x, solution, spread)
     if ratio > 0.0:
-        solution = _solve(rows, x, spread, terms, ratio)
+        ratio, solution = _refine(rows, x, spread, terms, ratio)
     noise = _noise_profile(rows, solution)
     if noise is not None:
         x, spread = x / noise[:, None, None], spread / noise[:, None, None]
@@ -122,8 +129,10 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
     sigma2 = solution.rest / solution.freedom
     shift = -np.einsum("nij,nj->ni", solution.pull_inverse, solution.pull)
     error = np.sqrt(sigma2 * np.trace(solution.pull_inverse, axis1=1, axis2=2) / 2)
+    moved = x[:, :, :-1] @ solution.moving
+    common = np.add.reduceat(np.einsum("nij,ni->nj", spread, solution.pull), rows.first)
     if noise is not None:
-        shift, error = shift * noise[:, None], error * noise
+        shift, error, moved = shift * noise[:, None], error * noise, moved * noise[:, None]
     return Redundancy(
         field,
         solution.score / sigma2,
@@ -134,6 +143,10 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
         shift[rows.back],
         solution.chi2[rows.back] / sigma2,
         error[rows.back],
+        rows.mark,
+        -ratio * common,
+        -moved[rows.back],
+        solution.inverse_half.shape[1] - 2 * terms,
     )
 
 
@@ -144,6 +157,8 @@ class _Solution:
     rest: float  # px^2, weighted sum of squares that field and modes leave
     freedom: int
     beta: Array  # coefficients of all columns but the last
+    moving: Array  # the same, of the modes alone, the field having followed them as far as it can
+    excess: float  # squared pulls of the target's marks over what noise of this covariance gives them
     inverse_half: Array  # (columns, rank): inverse of the normal matrix is this times its transpose
     pull: Array  # (N, 2) P y
     pull_inverse: Array  # (N, 2, 2) inverse of the diagonal blocks of P
@@ -176,13 +191,21 @@ def _solve(rows: _Rows, x: Array, spread: Array, terms: int, ratio: float) -> _S
     beta = np.concatenate([inverse_lower.T @ half[:, -1] - back @ modes, modes])
     inverse_half = np.block([[inverse_lower.T, -back @ root], [np.zeros((len(root), f)), root]])
     residual = w[:, :, -1] - w[:, :, :-1] @ beta
-    freedom = max(residual.size - f - int(seen.sum()) - (2 * len(rows.first) if ratio > 1e6 else 0), 1)
+    freedom = max(residual.size - f - int(seen.sum()), 1)
+    rest = float((residual**2).sum())
     pull = whiten(residual[:, :, None])[:, :, 0]
     reach = whiten(w[:, :, :-1] @ inverse_half) if ratio > 0 else w[:, :, :-1] @ inverse_half
     diagonal = whiten.squared() - reach @ np.swapaxes(reach, 1, 2)
     diagonal += 1e-9 * np.eye(2)
+    turned = np.swapaxes(spread, 1, 2)
+    pulls = np.add.reduceat(turned @ pull[:, :, None], rows.first)
+    own = np.add.reduceat(turned @ (whiten.squared_times(spread)), rows.first)
+    taken = np.add.reduceat(turned @ reach, rows.first)
+    expected = float(np.trace(own, axis1=1, axis2=2).sum() - (taken**2).sum())
+    excess = float((pulls**2).sum()) / (rest / freedom * max(expected, 1e-300))
+    moving = np.concatenate([-back @ modes, modes])
     return _Solution(
-        score, information, float((residual**2).sum()), freedom, beta, inverse_half, pull, np.linalg.inv(diagonal)
+        score, information, rest, freedom, beta, moving, excess, inverse_half, pull, np.linalg.inv(diagonal)
     )
 
 
@@ -206,9 +229,34 @@ class _Whitener:
         common = np.add.reduceat(np.swapaxes(self.spread, 1, 2) @ x, self.first)
         return np.asarray(x + self.spread @ (self.core @ common)[self.mark])
 
+    def squared_times(self, x: Array) -> Array:
+        """Rows (N, 2, c) times the inverse covariance."""
+        common = np.add.reduceat(np.swapaxes(self.spread, 1, 2) @ x, self.first)
+        return np.asarray(x + self.spread @ (self.core_squared @ common)[self.mark])
+
     def squared(self) -> Array:
         """Diagonal blocks (N, 2, 2) of the inverse covariance."""
         return np.asarray(np.eye(2) + self.spread @ self.core_squared[self.mark] @ np.swapaxes(self.spread, 1, 2))
+
+
+def _refine(rows: _Rows, x: Array, spread: Array, terms: int, ratio: float) -> tuple[float, _Solution]:
+    """Ratio of variances by restricted maximum likelihood from a first estimate, and the solution under it.
+
+    There the squared pulls of the target's marks are just what their covariance gives (Patterson & Thompson 1971); the
+    secant method on logarithms finds it.
+    """
+    at, solution = np.log(ratio), _solve(rows, x, spread, terms, ratio)
+    off = np.log(solution.excess)
+    slope = -0.5
+    for _ in range(5):
+        if abs(off) < 0.02:
+            break
+        step = float(np.clip(-off / slope, -3.0, 3.0))
+        solution = _solve(rows, x, spread, terms, float(np.exp(at + step)))
+        new = np.log(solution.excess)
+        slope = min((new - off) / step, -0.05)
+        at, off = at + step, new
+    return float(np.exp(at)), solution
 
 
 def _target_ratio(rows: _Rows, x: Array, solution: _Solution, spread: Array) -> float:

@@ -143,7 +143,7 @@ def measure_heights(
     width = 0.0 if math.isnan(options.stripe_width) else options.stripe_width
     evidence = Evidence.gather(final, final_noise, rng, stripe_width=width)
     found = estimate(evidence)
-    spread = chance(evidence, found) if options.uncertainty else {}
+    spread = chance(evidence, found, rng) if options.uncertainty else {}
     trust = _trust(evidence, found, final_noise)
     areal = _areal(evidence, found, final_noise, spread, trust, final.gap_share)
     slope_reason = areal["Sdq"].reason

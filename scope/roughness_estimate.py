@@ -18,6 +18,7 @@ from scope.roughness_texture import Texture, texture
 LINEAR = (
     "Sa", "Sp", "Sv", "Sz", "Sxp", "Sz99", "Sk", "Spk", "Svk", "Vmp", "Vmc", "Vvv", "Vvc",
 )  # fmt: skip
+_FEW_GAPS = 0.01  # fewer need no looking into
 _QUIET_SLOPES = 0.5  # noise below this share of the slopes' variance needs no smoothing before it is subtracted
 
 
@@ -167,13 +168,14 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
     return Estimate(raw, clean, found)
 
 
-def chance(evidence: Evidence, estimate_: Estimate, *, tiles: int = 24) -> dict[str, float]:
+def chance(evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *, tiles: int = 24) -> dict[str, float]:
     """Standard uncertainty of every parameter from noise, sampling and gaps together: the delete-a-tile jackknife.
 
     The map is cut into tiles at least four correlation lengths wide where that leaves enough of them; the spread of the
     parameters with one tile left out at a time tells how they vary from patch to patch of this size (Efron and
     Stein 1981). Noise is part of what varies. The extremes Sp, Sv, Sz are no averages, so theirs is the spread of
-    the extremes of single tiles, as Gumbel's law has it.
+    the extremes of single tiles, as Gumbel's law has it. On a regular texture all tiles are alike and hide what gaps do:
+    that is found by cutting the map's own gaps into it once more, elsewhere.
     """
     labels, count = _tiles(evidence.z, _correlation_lengths(estimate_.texture), evidence.pitch, tiles)
     found: list[dict[str, float]] = []
@@ -198,11 +200,31 @@ def chance(evidence: Evidence, estimate_: Estimate, *, tiles: int = 24) -> dict[
             spread[name] = float(np.sqrt((len(values) - 1) * np.mean((values - values.mean()) ** 2)))
     for name in ("Sp", "Sv", "Sz"):
         spread[name] = float(np.std([one[name] for one in extremes], ddof=1))
+    for name, moved in _gap_spread(evidence, estimate_, rng).items():
+        spread[name] = math.hypot(spread[name], moved)
     if math.isfinite(estimate_.clean["Std"]):
         turned = np.exp(2j * np.radians([one["Std"] for one in found if math.isfinite(one["Std"])]))
         centred = np.angle(turned / turned.mean()) / 2.0
         spread["Std"] = float(np.degrees(np.sqrt((len(turned) - 1) * np.mean(centred**2))))
     return spread
+
+
+def _gap_spread(
+    evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *, draws: int = 4
+) -> dict[str, float]:
+    """Root mean square change (by parameter) that the map's own gaps make when they are cut again at a random shift."""
+    known = np.isfinite(evidence.z)
+    if known.mean() > 1.0 - _FEW_GAPS:
+        return {}
+    changes: dict[str, list[float]] = {name: [] for name in estimate_.clean if name != "Std"}
+    for _ in range(draws):
+        shift = (int(rng.integers(known.shape[0])), int(rng.integers(known.shape[1])))
+        again = estimate(evidence.part(np.roll(known, shift, axis=(0, 1))), with_raw=False).clean
+        for name, found in changes.items():
+            change = again[name] - estimate_.clean[name]
+            if math.isfinite(change):
+                found.append(change)
+    return {name: math.sqrt(sum(c * c for c in found) / len(found)) for name, found in changes.items() if found}
 
 
 def _smoothed(values: Array, pitch: tuple[float, float], index: tuple[float, float]) -> Array:

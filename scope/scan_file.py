@@ -10,6 +10,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,7 +23,7 @@ from calibration.rig import Rig, sha256_of
 from scope import ply
 from scope.capture import read_capture
 from scope.cloud import ScanCloud
-from scope.files import SENSOR, VERTEX, comments, sensor_records, vertex_records
+from scope.files import SENSOR, VERTEX, comments, require_format, sensor_records, vertex_records
 from scope.scanning import Plan, ScanOptions, joined
 from scope.tally import Chunk, Scan, Tally
 
@@ -46,6 +47,7 @@ def scan_to_file(
     needs the whole cloud at once.
     """
     require_folder(out)
+    require_format(out)
     started = time.perf_counter()
     rig = Rig.load(rig_path)
     identity = {"capture": sha256_of(capture) if capture.is_file() else "", "rig": rig.sha256, "options": repr(options)}
@@ -69,7 +71,10 @@ def scan_to_file(
         why = plan.interrupted(tally)
     finally:
         if stream is not None:
-            stream.close()
+            with suppress(OSError):  # what could not be written has been told
+                stream.close()
+        if tally.points == 0:  # nothing that were worth resuming
+            part.unlink(missing_ok=True)
     plan.refuse_nothing(tally)
     if out.suffix.lower() == ".ply" and len(plan.lasers) == 1 and not options.normals and not options.filters.any:
         _write_streamed(out, part, plan, tally, why)
@@ -111,8 +116,13 @@ def _write_chunk(stream: BinaryIO, chunk: Chunk) -> None:
         "empty": chunk.empty,
         "rejected": chunk.rejected,
     }
-    stream.write(json.dumps(head).encode() + b"\n" + vertex_records(chunk.cloud).tobytes())
-    stream.flush()
+    try:
+        stream.write(json.dumps(head).encode() + b"\n" + vertex_records(chunk.cloud).tobytes())
+        stream.flush()
+    except OSError as error:
+        raise FileError(
+            f"{stream.name}: could not be written ({error.strerror}); free space or choose another place for the cloud"
+        ) from error
 
 
 def _write_streamed(out: Path, part: Path, plan: Plan, tally: Tally, why: str) -> None:

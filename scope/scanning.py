@@ -12,12 +12,14 @@ import numpy as np
 
 from calibration.camera import centre_of
 from calibration.errors import FileError, ScopeError
-from calibration.geometry import Array, Codes
+from calibration.geometry import Array
 from calibration.laser import Laser
 from calibration.reason import Reason
 from calibration.rig import Rig
 from ranging.background import Channel, choose_channel, mean_image, to_gray
+from ranging.edges import refine
 from ranging.errors import RangingError
+from ranging.lattice import CONTEXT, Lattice, Seen
 from ranging.motion import Linear, Motion, Turntable
 from ranging.stripe import Method, Stripe, StripeOptions, extract
 from ranging.triangulation import triangulate
@@ -128,6 +130,14 @@ def run_scan(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Sight:
+    """One frame's points, by the index of the laser."""
+
+    number: int
+    seen: dict[int, Seen] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """How a capture is ranged with a rig."""
 
@@ -185,21 +195,31 @@ class Plan:
         )
 
     def chunks(self, first: int, on_frame: Tick) -> Iterator[Chunk]:
-        """Ranged runs of frames, in order."""
+        """Ranged runs of frames, in order; what they end with depends on ``CONTEXT`` frames before and after each."""
         total = self.source.count or 0
-        waiting: list[tuple[int, list[tuple[int, Stripe]]]] = []
+        at = max(0, first - CONTEXT)  # position of the window's first frame
+        fresh: list[tuple[int, list[tuple[int, Stripe]]]] = []
+        window: list[_Sight] = []
         begun, stopped = first, False
         try:
-            for found in in_order(self.source, self._extract, first=first):
-                waiting.append(found)
-                on_frame(begun + len(waiting), total)
-                if len(waiting) == (CHUNK if begun > first else FIRST):
-                    ranged, begun, waiting = self._range(begun, waiting), begun + len(waiting), []
-                    yield ranged
+            for found in in_order(self.source, self._extract, first=at):
+                fresh.append(found)
+                done = at + len(window) + len(fresh)
+                if done > first:
+                    on_frame(done, total)
+                end = begun + (CHUNK if begun else FIRST)
+                if done == end + CONTEXT:
+                    window, fresh = window + self._see(fresh), []
+                    yield self._chunk(window, at, begun, end)
+                    begun, old = end, max(0, end - CONTEXT - at)
+                    window, at = window[old:], at + old
         except KeyboardInterrupt:
             stopped = True
-        if waiting:
-            yield self._range(begun, waiting)
+        window = window + self._see(fresh)
+        while begun < at + len(window):
+            end = min(begun + (CHUNK if begun else FIRST), at + len(window))
+            yield self._chunk(window, at, begun, end)
+            begun = end
         if stopped:
             raise KeyboardInterrupt
 
@@ -225,51 +245,67 @@ class Plan:
             found.append((k, stripe))
         return frame.number, _uncrossed(found)
 
-    def _range(self, first: int, frames: list[tuple[int, list[tuple[int, Stripe]]]]) -> Chunk:
+    def _see(self, frames: list[tuple[int, list[tuple[int, Stripe]]]]) -> list[_Sight]:
+        """Triangulate frames, all at once for each laser."""
+        sights = [_Sight(number) for number, _ in frames]
+        for k, laser in enumerate(self.lasers):
+            shown = [
+                (sight, stripe) for sight, (_, all_) in zip(sights, frames, strict=True) for j, stripe in all_ if j == k
+            ]
+            if not shown:
+                continue
+            pixels = np.concatenate([stripe.pixels for _, stripe in shown])
+            sigma_px = np.concatenate([stripe.sigma for _, stripe in shown])
+            across = 1 if laser.along == "rows" else 0
+            found = triangulate(self.rig.camera, laser, pixels, sigma_px, across, extrapolate=self.options.extrapolate)
+            begin = 0
+            for sight, stripe in shown:
+                end = begin + len(stripe.position)
+                pose = self.motion.cloud_from_c(sight.number)
+                sight.seen[k] = Seen.of(found.rows(begin, end), stripe, pose, self.centre)
+                begin = end
+        return sights
+
+    def _chunk(self, window: list[_Sight], at: int, begun: int, end: int) -> Chunk:
+        """Refine the frames from position ``begun`` to ``end`` of a window that begins at ``at``, and gather their points."""
         parts: list[ScanCloud] = []
         rejected: Counter[str] = Counter()
         with_points: set[int] = set()
-        for k, laser in enumerate(self.lasers):
-            shown = [(number, stripe) for number, stripes in frames for index, stripe in stripes if index == k]
-            if shown:
-                part, counts = self._range_laser(k, laser, shown)
-                rejected += counts
-                with_points |= set(np.unique(part.frame).tolist())
-                parts.append(part)
-        cloud = joined(parts)
-        empty = len({number for number, _ in frames} - with_points)
-        return Chunk(first, len(frames), cloud, rejected, empty)
+        for k in range(len(self.lasers)):
+            shown = [(at + i, sight) for i, sight in enumerate(window) if k in sight.seen]
+            first, last = (sum(1 for position, _ in shown if position < edge) for edge in (begun, end))
+            if first == last:
+                continue
+            part, counts = self._refined(k, [sight for _, sight in shown], first, last)
+            rejected += counts
+            with_points |= set(np.unique(part.frame).tolist())
+            parts.append(part)
+        numbers = {sight.number for sight in window[begun - at : end - at]}
+        return Chunk(begun, end - begun, joined(parts), rejected, len(numbers - with_points))
 
-    def _range_laser(self, k: int, laser: Laser, shown: list[tuple[int, Stripe]]) -> tuple[ScanCloud, Counter[str]]:
-        pixels = np.concatenate([stripe.pixels for _, stripe in shown])
-        sigma_px = np.concatenate([stripe.sigma for _, stripe in shown])
-        reason: Codes = np.concatenate([stripe.reason for _, stripe in shown])
-        across = 1 if laser.along == "rows" else 0
-        found = triangulate(self.rig.camera, laser, pixels, sigma_px, across, extrapolate=self.options.extrapolate)
-        reason = np.where(reason == Reason.RANGED, found.reason, reason)
+    def _refined(self, k: int, sights: list[_Sight], first: int, last: int) -> tuple[ScanCloud, Counter[str]]:
+        lattice = Lattice.of([sight.seen[k] for sight in sights])
+        found = refine(lattice, first, last)
+        reason = found.reason
         if self.options.max_sigma is not None:
             reason[(reason == Reason.RANGED) & ~(found.sigma <= self.options.max_sigma)] = Reason.UNCERTAIN
         keep = reason == Reason.RANGED
-        lengths = [len(stripe.position) for _, stripe in shown]
-        numbers = np.repeat(np.array([number for number, _ in shown], dtype=np.int32), lengths)
-        points = found.points
-        for (number, _), end, length in zip(shown, np.cumsum(lengths), lengths, strict=True):
-            rows = slice(end - length, end)
-            points[rows] = self.motion.cloud_from_c(number).apply(points[rows])
+        lines = np.broadcast_to(np.arange(reason.shape[1], dtype=np.float64), reason.shape)
+        pair = (lines, found.position) if self.lasers[k].along == "rows" else (found.position, lines)
+        numbers = np.array([sight.number for sight in sights[first:last]], dtype=np.int32)
         counts = Counter(
             {
                 Reason(int(code)).key: int(n)
                 for code, n in zip(*np.unique(reason[~keep], return_counts=True), strict=True)
             }
         )
-        peak = np.concatenate([stripe.peak for _, stripe in shown])
         cloud = ScanCloud(
-            points=points[keep],
-            intensity=peak[keep].astype(np.float32),
+            points=found.points[keep],
+            intensity=lattice.peak[first:last][keep].astype(np.float32),
             sigma=found.sigma[keep].astype(np.float32),
-            sigma_cal=found.sigma_cal[keep].astype(np.float32),
-            pixels=pixels[keep].astype(np.float32),
-            frame=numbers[keep],
+            sigma_cal=lattice.sigma_cal[first:last][keep].astype(np.float32),
+            pixels=np.stack(pair, axis=2)[keep].astype(np.float32),
+            frame=np.broadcast_to(numbers[:, None], reason.shape)[keep],
             laser=np.full(int(keep.sum()), k, dtype=np.uint8),
         )
         return cloud, counts
