@@ -34,7 +34,7 @@ STEEP = 0.35  # of h1 or h3: beyond, first order does not hold
 DOUBT = 0.15  # of a correction, for what is not known: the surface need not be Lambert's
 MOST = 2, 6  # frames and lines, at most, from one point of a patch to the next
 GROWTH = 1.0, 1.0  # see `estimate_beam`; how far that may be wrong
-TELLING = 5000.0  # a tenth of the variance, fifty times told: how much the stripes' widths are trusted
+TELLING = 500.0  # a tenth of the variance, five times told: how much the widths of stripes are trusted
 BLUR = 0.36, 0.25  # px^2: a lens of half a pixel and the pixel's own 1/12; how far that may be wrong
 
 

@@ -20,7 +20,7 @@ from ranging.background import Channel, choose_channel, mean_image, to_gray
 from ranging.edges import refine
 from ranging.errors import RangingError
 from ranging.lattice import CONTEXT, Lattice, Seen
-from ranging.motion import Linear, Motion, Turntable
+from ranging.motion import Fixed, Linear, Motion, Turntable
 from ranging.stripe import Method, Stripe, StripeOptions, extract
 from ranging.triangulation import triangulate
 from scope.capture import Capture, StageUse, read_capture
@@ -178,12 +178,14 @@ class Plan:
         width, height = rig.camera.size
         u, v = np.meshgrid(np.linspace(0.1, 0.9, 9) * width, np.linspace(0.1, 0.9, 9) * height)
         centre = centre_of(rig.camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)))
-        plan = cls(capture, rig, options, lasers, channels, darks, options.stripe, motion, source, centre)
+        # where the object moves, frames are compared with each other: a better judge than a frame's own lines
+        stripe = replace(options.stripe, neighbours=options.stripe.neighbours and isinstance(motion, Fixed))
+        plan = cls(capture, rig, options, lasers, channels, darks, stripe, motion, source, centre)
         return replace(plan, stripe=plan._with_noise(frames))
 
     def _with_noise(self, frames: list[Frame]) -> StripeOptions:
         """Stripe options with the median noise of a few frames: a camera has one, and looking for it in each costs time."""
-        asked = self.options.stripe
+        asked = self.stripe
         known = [stripe.noise for frame in frames for _, stripe in self._extract(frame)[1]]
         noise = [found for found in known if found is not None]
         if not noise:
