@@ -21,7 +21,8 @@ from scope.page import Page
 from scope.pictures import grey_blocks, with_marks, with_stripe
 from scope.region import Box
 from scope.scan_report import add_views, scan_page
-from scope.scanning import Scan, run_scan
+from scope.scanning import run_scan
+from scope.tally import Scan
 
 _STEPS = 5
 
@@ -94,7 +95,10 @@ def run_demo(
         ],
         "calibration": calibration.result,
         "points": len(found.cloud),
-        "files": [str(out / name) for name in ("demo.html", "calibration.html", "scan.html", "cloud.ply", "rig.json")],
+        "files": [
+            str(out / name)
+            for name in ("demo.html", "calibration.html", "scan.html", "roughness.html", "cloud.ply", "rig.json")
+        ],
         "seconds": round(time.perf_counter() - started, 1),
     }
 
@@ -156,6 +160,8 @@ def _of_scan(found: Scan, truth: dict[str, Any], out: Path) -> list[Deviation]:
                 deviations += _sphere(points, pose.translation, float(item["radius"]))
             case "steps":
                 deviations += _steps(points, pose, item)
+            case "rough":
+                deviations.append(_roughness(found, pose, item, out))
     return deviations
 
 
@@ -195,6 +201,28 @@ def _steps(points: Array, pose: Pose, item: dict[str, Any]) -> list[Deviation]:
         if len(on_top) > 20:
             deviations.append(Deviation(f"step of {height:g} mm", float(on_top.mean()) - base, float(height), "mm"))
     return deviations
+
+
+def _roughness(found: Scan, pose: Pose, item: dict[str, Any], out: Path) -> Deviation:
+    """Sq of the coupon, noise removed, beside that of its true heights on the same patch; writes roughness.html."""
+    from scope.roughness import measure_roughness
+    from scope.roughness_report import roughness_page
+
+    margin = 3.0
+    length, width = item["size"]
+    corners = pose.apply(np.array([[margin, margin, 0.0], [length - margin, width - margin, 0.0]]))
+    (x0, y0, _), (x1, y1, _) = np.sort(corners, axis=0)
+    patch = measure_roughness(found.cloud, region=Box(x=(x0, x1), y=(y0, y1)), name="coupon")
+    write_text(out / "roughness.html", roughness_page([patch], "cloud.ply"))
+    heights = np.load(out / "session" / "truth" / item["heights"], allow_pickle=False)
+    edge = round(margin / item["spacing"])
+    inside = heights[edge:-edge, edge:-edge]
+    rows, columns = np.mgrid[0 : inside.shape[0], 0 : inside.shape[1]]
+    plane = np.column_stack([rows.ravel(), columns.ravel(), np.ones(inside.size)])
+    rest = inside.ravel() - plane @ np.linalg.lstsq(plane, inside.ravel(), rcond=None)[0]
+    sq = patch.areal["Sq"]
+    note = f"+- {sq.uncertainty:.4f} (k = 2)" if sq.uncertainty is not None else ""
+    return Deviation("rough coupon, Sq", float("nan") if sq.value is None else sq.value, float(rest.std()), "mm", note)
 
 
 def _page(calibration: Calibration, found: Scan, deviations: list[Deviation]) -> str:

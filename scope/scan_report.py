@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +13,9 @@ from ranging.background import choose_channel, to_gray
 from scope import pictures
 from scope.capture import read_capture
 from scope.images import read_image
+from scope.lasers_agree import Agreement
 from scope.page import Page
-from scope.scanning import Scan
+from scope.tally import Scan
 
 _WHY = {
     "no_light": "no peak clear of the noise: nothing there, too dark, or in shadow",
@@ -32,29 +35,46 @@ def scan_result(found: Scan) -> dict[str, Any]:
     """What --json gives."""
     return {
         "frames": found.frames,
-        "points": len(found.cloud),
+        "points": found.points,
         "empty_frames": found.empty_frames,
         "rejected": dict(found.rejected),
+        "filtered": dict(found.filtered),
+        "lasers_agree": [asdict(pair) for pair in found.agreement],
         "seconds": round(found.seconds, 3),
         "sigma_mm": found.sigma_mm,
-        "sigma_cal_mm": float(np.median(found.cloud.sigma_cal)) if len(found.cloud) else None,
-        "complete": found.cloud.complete,
-        "verified": found.cloud.verified,
+        "sigma_cal_mm": found.sigma_cal_mm,
+        "complete": not found.why_incomplete,
+        "verified": found.verified,
         "why_incomplete": found.why_incomplete,
     }
 
 
 def scan_text(found: Scan) -> str:
     """What a person reads on the terminal."""
-    result = scan_result(found)
-    rejected = (
-        ", ".join(f"{count} {reason}" for reason, count in sorted(found.rejected.items(), key=lambda kv: -kv[1]))
-        or "none"
-    )
+    rejected = ", ".join(f"{count} {reason}" for reason, count in _most_first(found.rejected)) or "none"
+    sigma = f"median sigma {found.sigma_mm:.4f} mm, of the calibration {found.sigma_cal_mm:.4f} mm"
+    lines = [
+        f"{found.points} points from {found.frames} frames in {found.seconds:.1f} s; {sigma}",
+        f"lines without a point: {rejected}",
+    ]
+    if found.empty_frames:
+        lines.append(f"frames without any point: {found.empty_frames}")
+    if found.filtered:
+        lines.append(f"removed by filters: {', '.join(f'{count} {name}' for name, count in found.filtered.items())}")
+    lines += [f"lasers {pair.first} and {pair.second}: {_agreement_text(pair)}" for pair in found.agreement]
+    return "\n".join(lines)
+
+
+def _most_first(counts: Mapping[str, int]) -> list[tuple[str, int]]:
+    return sorted(counts.items(), key=lambda item: -item[1])
+
+
+def _agreement_text(pair: Agreement) -> str:
+    if pair.cells == 0:
+        return "no surface was seen by both"
     return (
-        f"{result['points']} points from {result['frames']} frames in {found.seconds:.1f} s; median sigma {found.sigma_mm:.4f} mm, of "
-        f"the calibration {result['sigma_cal_mm'] or float('nan'):.4f} mm\nlines without a point: {rejected}"
-        + (f"\nframes without any point: {found.empty_frames}" if found.empty_frames else "")
+        f"apart by {pair.mean_mm:+.4f} mm in the mean, {pair.rms_mm:.4f} mm rms along the normal ({pair.cells} cells; "
+        f"{pair.sigma_mm:.4f} mm expected; {100 * pair.beyond:.1f} % of the cells more than 3 sigma apart)"
     )
 
 
