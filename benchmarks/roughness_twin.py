@@ -28,9 +28,11 @@ class Coupon:
         self.side = side
 
     def local(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points (N, 3) mm in the coupon's own frame."""
         return points @ self.model_from_camera[:3, :3].T + self.model_from_camera[:3, 3]
 
     def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Mask (N,) of points (N, 3) mm in the cloud frame."""
         local = self.local(points)
         inside = (local[:, :2] > 2.0) & (local[:, :2] < self.side - 2.0)
         return np.asarray(inside.all(axis=1) & (np.abs(local[:, 2]) < 3.0))
