@@ -97,10 +97,15 @@ def test_two_planes_agree_whatever_is_wrong_with_them():
 
 
 def test_affine_errors_are_invisible():
-    """Slips and pitches that grow linearly with depth, and stand-offs all too long by the same share."""
-    poses = {k: Pose(np.eye(3), np.array([0.01 * (z - 320.0), 0.0, 0.02 * (z - 400.0)])) for k, z in enumerate(FIVE)}
-    scales = {k: 1.0 + 2e-5 * (z - 300.0) for k, z in enumerate(FIVE)}
-    assert find_faults(seen(9, true_pose=poses, true_scale=scales)) == ()
+    """Slips that grow linearly with depth, stand-offs all too long by a share, one wrong pitch and one turn of all."""
+    turn = misplacement("rotation", 0.01, 0.0, CENTRE)
+    poses = {
+        k: Pose(np.eye(3), np.array([0.01 * (z - 320.0), 0.0, 0.02 * (z - 400.0)])) @ turn for k, z in enumerate(FIVE)
+    }
+    planes = seen(9, true_pose=poses, true_scale=dict.fromkeys(range(5), 1.01))
+    assert find_faults(planes) == ()
+    evidence = evidence_of(planes)
+    assert evidence.total < len(evidence.z) + 4 * np.sqrt(2 * len(evidence.z))  # nothing but noise is left
 
 
 @pytest.mark.parametrize(("one", "other"), [(0, 1), (1, 2), (0, 3)])
@@ -198,13 +203,13 @@ def test_evidence_of_clean_sessions_is_chi_square():
 
 
 def test_standard_errors_are_those_of_the_estimates():
-    """Slips of one plane in 40 sessions: scatter over standard error, 80 components."""
+    """Slips of one plane in 30 sessions: scatter over standard error, 60 components."""
     pulls = []
-    for seed in range(40):
+    for seed in range(30):
         evidence = evidence_of(seen(200 + seed, FOUR))
         fit = evidence.fit((Hypothesis(1, "slip"),))
         pulls.append(fit.amounts / np.sqrt(np.diag(fit.covariance)))
-    assert np.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.2)
+    assert np.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.22)
 
 
 def test_one_plane_is_a_wrong_argument():
