@@ -51,7 +51,7 @@ LIMITS = {  # relative, by parameter
     "Smr2": 5e-3,
     # the oracle's 10,000 classes of the material ratio cut the tails; closed forms below hold ours to 0.02 %
     **dict.fromkeys(("Vmp", "Vvv"), 2e-3),
-    **dict.fromkeys(("Spk", "Svk"), 5e-3),
+    **dict.fromkeys(("Spk", "Svk"), 1e-2),
     **dict.fromkeys(("Sal", "Str"), 1e-2),
 }
 
