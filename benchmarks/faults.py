@@ -154,24 +154,28 @@ def clean(draws: int) -> None:
 
 
 def errors(draws: int) -> None:
-    """Standard errors against the scatter of the estimates: one slip and one of the other kinds, by turns."""
+    """Standard errors against the scatter of the estimates, of every kind on every plane, in sessions without faults.
+
+    The truth is nothing then, so that an estimate over its standard error has unit variance.
+    """
     rng = np.random.default_rng(11)
     pulls: dict[str, list[float]] = {k: [] for k in KINDS}
-    for i in range(draws):
-        kind = KINDS[i % len(KINDS)]
-        planes, truths = drawn(rng, Views(FIVE, 0.0, np.radians(30)), (kind,), sigmas=20.0)
-        for f in find_faults(planes):
-            if f.kind == kind and f.plane == planes[truths[0].plane].name:
-                pulls[kind].append((f.value - truths[0].size) / f.standard_error)
-    for kind, pull in pulls.items():
-        row(
-            f"scatter over stated standard error, {kind}",
-            len(pull),
-            float(np.sqrt(np.mean(np.square(pull)))),
-            "0.9 to 1.1",
+    for _ in range(draws):
+        planes = session(
+            rng,
+            stand_offs=(FOUR, FIVE, SEVEN)[int(rng.integers(3))],
+            oblique=rng.uniform(0, np.radians(30)),
+            azimuth=rng.uniform(0, 2 * np.pi),
         )
-    every = np.concatenate([np.array(p) for p in pulls.values()])
-    row("the same, all kinds", len(every), float(np.sqrt((every**2).mean())), "0.9 to 1.1")
+        test = redundancy_of(planes, fit_ray_field(planes, orders=(3, 1)).field)
+        evidence = Evidence.of(test.score, test.information)
+        for k in range(len(planes)):
+            for kind in KINDS:
+                fit = evidence.fit((Hypothesis(k, kind),))
+                pulls[kind].extend(fit.amounts / np.sqrt(np.diag(fit.covariance)))
+    for kind, pull in pulls.items():
+        ratio = float(np.sqrt(np.mean(np.square(pull))))
+        row(f"scatter over stated standard error, {kind}", f"{draws} sessions", ratio, "0.9 to 1.1")
 
 
 def _seen(name: str) -> list[PlaneMarks]:

@@ -20,12 +20,6 @@ SLIP_X, SLIP_Y, ROTATION, PITCH, STAND_OFF, TILT_X, TILT_Y = range(7)
 MODES = 7
 
 
-def residuals(field: RayField, marks: PlaneMarks) -> Array:
-    """Mark minus crossing of its ray at the mark's stated depth, (n, 2) mm across."""
-    world = marks.world @ field.c_from_d
-    return np.asarray(world[:, :2] - field.crossing(marks.pixels, world[:, 2]))
-
-
 def expected(field: RayField, pixels: Array, world: Array) -> Array:
     """Pixels (n, 2) where the field expects marks at world (n, 3) mm in D that were seen at pixels (n, 2).
 
@@ -50,7 +44,7 @@ def across(field: RayField, marks: PlaneMarks, slope: Array, moved: Array) -> Ar
 
 
 def modes(field: RayField, marks: PlaneMarks, slope: Array) -> Array:
-    """What each misplacement of one plane adds to `residuals`, (n, 2, 7) mm for a unit of it.
+    """What each misplacement of one plane adds to "stated mark minus its ray" across depth, (n, 2, 7) mm for a unit of it.
 
     The columns: slip along the plane's x and y (mm), rotation about its normal through the middle of its marks (rad),
     pitch (relative excess of the true spacing over the stated, about the target's origin), stand-off along the depth
