@@ -24,11 +24,10 @@ from functools import cache
 
 import numpy as np
 
-from calibration.geometry import Array, Bools
+from calibration.geometry import Array
 from ranging import surface
 from ranging.course import follow
-from ranging.lattice import CONTEXT, Lattice
-
+from ranging.lattice import Lattice
 
 SPAN = 2.7  # standard deviations of the stripe's width, over which the surface is taken as a paraboloid, to either side
 STEEP = 0.35  # of h1 or h3: beyond, first order does not hold

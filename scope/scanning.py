@@ -251,7 +251,9 @@ class Plan:
         """Triangulate frames, all at once for each laser."""
         sights = [_Sight(number) for number, _ in frames]
         for k, laser in enumerate(self.lasers):
-            shown = [(sight, stripe) for sight, (_, all_) in zip(sights, frames, strict=True) for j, stripe in all_ if j == k]
+            shown = [
+                (sight, stripe) for sight, (_, all_) in zip(sights, frames, strict=True) for j, stripe in all_ if j == k
+            ]
             if not shown:
                 continue
             pixels = np.concatenate([stripe.pixels for _, stripe in shown])
@@ -409,7 +411,7 @@ def _told_apart(capture: Capture, lasers: tuple[Laser, ...], channels: tuple[Cha
     if len(set(colours)) < len(colours) or {"gray", "auto"} & set(colours):
         told = ", ".join(f"{laser.name} is read in {colour}" for laser, colour in zip(lasers, colours, strict=True))
         raise FileError(
-            f'{capture.path}: {told}: lasers that shine together are told apart by colour; give each [laser.NAME] a channel '
+            f"{capture.path}: {told}: lasers that shine together are told apart by colour; give each [laser.NAME] a channel "
             'of its own at calibration, scan one at a time (lasers), or take turns (sequence = "cycle")'
         )
     return tuple(f"{colour}-excess" for colour in colours)  # type: ignore[misc]
