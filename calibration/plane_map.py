@@ -71,8 +71,9 @@ class PlaneMap:
     def jacobian(self, pixels: Array) -> Array:
         """Derivatives (N, 2, 2) mm/px of the plane coordinates by (u, v)."""
         square, by_pixel = self.domain.square_and_jacobian(pixels)
-        by_square = np.stack(polynomial.design_gradient(square, self.terms), axis=-1)  # (N, d, 2)
-        return np.asarray(np.einsum("ndk,dc,nkp->ncp", by_square, self.coefficients, by_pixel))
+        along, down = polynomial.design_gradient(square, self.terms)
+        by_square = np.stack([along @ self.coefficients, down @ self.coefficients], axis=2)
+        return np.asarray(by_square @ by_pixel)
 
     def sigma_at(self, pixels: Array) -> Array:
         """Standard deviation (N,) mm of one plane coordinate of the map itself, from the noise of its marks."""

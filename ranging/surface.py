@@ -140,16 +140,20 @@ def see_surfaces(
             away = 0.0
             if not patches[f, i, CHI] < SMOOTH:
                 nearest = np.inf
-                for a in range(-NEAREST, NEAREST + 1, NEAREST):
-                    for b in range(-NEAREST, NEAREST + 1, NEAREST):
-                        g, j = f + a * stride[0], i + b * stride[1]
-                        if g < 0 or g >= frames or j < 0 or j >= lines or not patches[g, j, CHI] < SMOOTH:
-                            continue
-                        gap = _away(
-                            patches[g, j], _vector(points[f, i]), _vector(view[f, i]), -a, -b, sigma[f, i], sigma[g, j]
-                        )
-                        if abs(gap) < abs(nearest):
-                            nearest, best_a, best_b = gap, a, b
+                for corners in (False, True):  # prolonged both ways, a patch says less: only where no other is smooth
+                    if nearest < np.inf:
+                        break
+                    for a in range(-NEAREST, NEAREST + 1, NEAREST):
+                        for b in range(-NEAREST, NEAREST + 1, NEAREST):
+                            g, j = f + a * stride[0], i + b * stride[1]
+                            if (a * b != 0) != corners or g < 0 or g >= frames or j < 0 or j >= lines:
+                                continue
+                            if not patches[g, j, CHI] < SMOOTH:
+                                continue
+                            point, ray = _vector(points[f, i]), _vector(view[f, i])
+                            gap = _away(patches[g, j], point, ray, -a, -b, sigma[f, i], sigma[g, j])
+                            if abs(gap) < abs(nearest):
+                                nearest, best_a, best_b = gap, a, b
                 if nearest == np.inf:
                     row[MISFIT] = patches[f, i, CHI]
                     continue
@@ -254,5 +258,5 @@ def _cross(a: Vector, b: Vector) -> Vector:
 
 @compiled
 def _minus(a: Vector, b: Vector, share: float) -> Vector:
-    """A - share b."""
+    """Difference a - share b."""
     return (a[0] - share * b[0], a[1] - share * b[1], a[2] - share * b[2])
