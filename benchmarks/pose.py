@@ -29,7 +29,8 @@ from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
 from scope.optional import import_open3d
 from scope.pose import estimate_pose
-from scope.pose_model import Model, Surface, angle_between, prepare_model
+from scope.pose_model import Model, angle_between, prepare_model
+from scope.pose_surface import Surface
 
 PARTS = {"bracket": parts.bracket, "plate": parts.plate, "casting": parts.casting}
 SEED = 20_000

@@ -301,7 +301,7 @@ def _mesh(
     cloud: ScanCloud, known: Artefact, tolerance: float | None, region: Region | None, span: float
 ) -> ArtefactCheck:
     from scope.pose import estimate_pose
-    from scope.pose_model import Surface
+    from scope.pose_surface import Surface
 
     result = estimate_pose(cloud, Path(known.mesh), region=region)
     if result.cloud_from_model is None:

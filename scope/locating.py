@@ -18,8 +18,8 @@ from scope.artefact import ArtefactCheck, Repeatability
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
 from scope.pose import PoseResult
-from scope.pose_model import Surface
 from scope.pose_report import CONVENTION, deviation_text, pose_json, pose_page
+from scope.pose_surface import Surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,8 +12,9 @@ from scope import segmentation
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
 from scope.pose_answer import Candidate, PoseOptions, PoseResult
-from scope.pose_model import Model, Surface
+from scope.pose_model import Model
 from scope.pose_piece import locate
+from scope.pose_surface import Surface
 from scope.region import Region
 
 __all__ = ["Candidate", "PoseOptions", "PoseResult", "estimate_pose"]

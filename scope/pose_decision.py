@@ -9,8 +9,9 @@ import numpy as np
 from calibration.geometry import Array, Bools, Pose
 from scope.pose_grid import passes
 from scope.pose_light import Light
-from scope.pose_model import Model, Surface, angle_between
+from scope.pose_model import Model, angle_between
 from scope.pose_search import View
+from scope.pose_surface import Surface
 
 CAP = 8.0  # nats: a point that the model does not explain
 BLOCKED = 12.0  # nats: a point that camera or laser could not have reached through the model

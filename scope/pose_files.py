@@ -101,7 +101,7 @@ def _closed(path: Path, mesh: Any) -> tuple[Array, Ints]:
     if not mesh.is_watertight:
         count = _open_edges(mesh)
         if count:
-            trimesh.repair.fill_holes(mesh)
+            mesh = _filled(mesh)
             left = _open_edges(mesh)
             grown = float(mesh.area) - before
             if left or grown > OPEN_SHARE * before:
@@ -115,6 +115,32 @@ def _closed(path: Path, mesh: Any) -> tuple[Array, Ints]:
         mesh.invert()
     mesh.remove_unreferenced_vertices()
     return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+
+
+def _filled(mesh: Any) -> Any:
+    """The mesh with a fan of triangles over each closed loop of open edges; branching borders stay open."""
+    import trimesh
+
+    edges = mesh.edges
+    _, where, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
+    border = edges[count[where.ravel()] == 1]
+    follow = {int(a): int(b) for a, b in border}
+    if len(follow) != len(border):
+        return mesh
+    vertices, faces = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)]
+    added = len(mesh.vertices)
+    while follow:
+        loop = [next(iter(follow))]
+        while loop[-1] in follow:
+            loop.append(follow.pop(loop[-1]))
+        if loop[0] != loop[-1]:
+            return mesh
+        ring = np.array(loop[:-1])
+        vertices.append(mesh.vertices[ring].mean(axis=0)[None])
+        # against the sense of the faces that end there
+        faces.append(np.stack([np.roll(ring, -1), ring, np.full(len(ring), added)], axis=1))
+        added += 1
+    return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=True)
 
 
 def _open_edges(mesh: Any) -> int:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from calibration.geometry import Array, Pose
-from scope.pose_model import Surface
+from scope.pose_surface import Surface
 
 REACH = 0.9  # mm each way
 STEP = 0.09  # mm
-RISE = 30.0  # nats above the least at which a motion is ruled out
-HELD = 0.3  # mm, half the width that may be left
+RISE = 20.0  # nats above the least at which a motion is ruled out
+HELD = 0.45  # mm, half the width that may be left
 
 
 def move(pose: Pose, motion: Array, amount: float, centre: Array, radius: float) -> Pose:
@@ -38,12 +38,13 @@ def hold(
     Returns
     -------
     (Pose, (L,) mm) or None
-        The pose in the middle of what is allowed, and half its width for each motion. None where some motion, or a sum of
-        two, is not stopped on both sides within 0.3 mm, and for three loose motions or more (a bare plane).
+        The pose in the middle of what is allowed, and one standard deviation for each motion: half the width at 20 nats, which
+        is 6.3 of them where the cost is quadratic, over five. None where some motion, or a sum of
+        two, is not stopped on both sides within 0.45 mm, and for three loose motions or more (a bare plane).
     """
     if len(motions) == 0 or len(motions) > 2:
         return None
-    some = np.linspace(0, len(points) - 1, min(len(points), 10_000)).astype(np.int64)
+    some = np.linspace(0, len(points) - 1, min(len(points), 20_000)).astype(np.int64)
     near, spread = points[some], sigma[some]
     offsets = np.arange(-REACH, REACH + STEP / 2, STEP)
 
@@ -66,7 +67,7 @@ def hold(
             bounds = allowed(pose, (motions[0] + sign * motions[1]) / np.sqrt(2.0))
             if bounds is None or max(-bounds[0], bounds[1]) > HELD:
                 return None
-    return (pose, np.array(widths)) if max(widths) <= HELD else None
+    return (pose, np.array(widths) / 5.0) if max(widths) <= HELD else None
 
 
 def _cost(surface: Surface, pose: Pose, points: Array, sigma: Array) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from calibration.geometry import Array, Bools, Ints, Plane, Pose, fit_plane
 from scope.cloud import ScanCloud, rotation_from_quaternion
 from scope.pose_grid import hidden
-from scope.pose_model import Surface
+from scope.pose_surface import Surface
 
 LEAST_COSINE = 0.3  # surface at a greater slant to camera or laser is not counted on
 

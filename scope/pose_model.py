@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.geometry import Array, Ints, Pose
 from scope.errors import MeasurementError
-from scope.optional import import_open3d
 from scope.pose_grid import DistanceGrid, align
+from scope.pose_refine import refine
+from scope.pose_surface import Surface, sample_surface
 
 NODES = 150  # nodes of the fine grid along the longest side
 COARSE = 4  # the coarse grid has one node for so many of the fine one
@@ -52,52 +51,6 @@ class Model:
         return np.asarray(0.5 * (self.vertices.min(axis=0) + self.vertices.max(axis=0)))
 
 
-class Surface:
-    """The exact surface of a mesh: nearest points and rays."""
-
-    def __init__(self, vertices: Array, faces: Ints) -> None:
-        self._o3d = import_open3d()
-        self._scene = self._o3d.t.geometry.RaycastingScene()
-        # single precision is finest near the origin
-        self._shift = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-        self._scene.add_triangles((vertices - self._shift).astype(np.float32), faces.astype(np.uint32))
-        corners = vertices[faces]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        self._normals = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
-        self._offsets = ((corners[:, 0] - self._shift) * self._normals).sum(axis=1)
-
-    def _tensor(self, values: Array) -> Any:
-        return self._o3d.core.Tensor(np.ascontiguousarray(values, dtype=np.float32))
-
-    def nearest(self, points: Array) -> tuple[Array, Array]:
-        """Nearest surface points (N, 3) and the outward normals (N, 3) of their faces.
-
-        The nearest face is found in single precision; the point on it is then put on the face's plane in double.
-        """
-        local = points - self._shift
-        found = self._scene.compute_closest_points(self._tensor(local))
-        closest = found["points"].numpy().astype(np.float64)
-        face = found["primitive_ids"].numpy().astype(np.int64)
-        normal = self._normals[face]
-        closest += (self._offsets[face] - (closest * normal).sum(axis=1))[:, None] * normal
-        return closest + self._shift, normal
-
-    def signed_distance(self, points: Array, *, votes: int = 3) -> Array:
-        """Distances (N,) mm, negative inside (parity of crossings, majority of ``votes`` rays)."""
-        local = self._tensor(points - self._shift)
-        return np.asarray(self._scene.compute_signed_distance(local, nsamples=votes).numpy(), dtype=np.float64)
-
-    def inside(self, points: Array) -> NDArray[np.bool_]:
-        """Whether points (N, 3) lie inside (parity)."""
-        return np.asarray(self._scene.compute_occupancy(self._tensor(points - self._shift), nsamples=3).numpy() > 0.5)
-
-    def first_hit(self, origin: Array, direction: Array) -> Array:
-        """Distance (N,) mm along unit directions to the first crossing, inf where there is none."""
-        rays = self._tensor(np.concatenate([origin - self._shift, direction], axis=1))
-        return np.asarray(self._scene.cast_rays(rays)["t_hit"].numpy(), dtype=np.float64)
-
-
 def prepare_model(vertices: Array, faces: Ints, *, name: str = "model", sha256: str = "") -> Model:
     """Everything that a search for this part needs, from a closed mesh (V, 3) mm, (F, 3) with faces outwards.
 
@@ -117,7 +70,9 @@ def prepare_model(vertices: Array, faces: Ints, *, name: str = "model", sha256: 
     views = fibonacci_sphere(162)
     centroids = _view_centroids(surface, samples, normals, views, diameter)
     axis = _axis_of_revolution(fine, samples, diameter)
-    likenesses = _likenesses(coarse, fine, samples, normals, diameter)
+    likenesses = tuple(
+        _sharpened(surface, samples, p, diameter) for p in _likenesses(coarse, fine, samples, normals, diameter)
+    )
     exact = tuple(p for p in likenesses if _misfit(surface, samples, p) < max(2e-4 * diameter, 2e-3))
     return Model(
         name,
@@ -135,20 +90,6 @@ def prepare_model(vertices: Array, faces: Ints, *, name: str = "model", sha256: 
         exact,
         axis,
     )
-
-
-def sample_surface(vertices: Array, faces: Ints, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Points (count, 3) spread over a mesh by area (systematic sampling of the faces), with their face normals."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
-    area = np.linalg.norm(cross, axis=1)
-    if area.sum() <= 0:
-        raise MeasurementError("all faces of the mesh have no area; export it again")
-    at = (np.arange(count) + 0.5) / count * area.sum()
-    face = np.minimum(np.searchsorted(np.cumsum(area), at), len(faces) - 1)
-    u, v = np.sqrt(rng.random(count)), rng.random(count)
-    points = (1 - u)[:, None] * a[face] + (u * (1 - v))[:, None] * b[face] + (u * v)[:, None] * c[face]
-    return points, np.asarray(cross[face] / area[face, None])
 
 
 def fibonacci_sphere(count: int) -> Array:
@@ -246,6 +187,14 @@ def _view_centroids(surface: Surface, samples: Array, normals: Array, views: Arr
     weight[s[seen], w[seen]] = (out[s[seen]] * views[w[seen]]).sum(axis=1)
     total = weight.sum(axis=0)
     return np.asarray((weight.T @ few) / np.maximum(total, 1e-12)[:, None])
+
+
+def _sharpened(surface: Surface, samples: Array, motion: Pose, diameter: float) -> Pose:
+    """A motion of `_likenesses` refined on the mesh itself, so that an exact symmetry shows as one."""
+    few = samples[::9]
+    reach = diameter * np.array([0.01, 0.01, 0.005, 0.003, 0.003])
+    spread = np.full(len(few), 1e-3 * diameter)
+    return refine(surface, motion.inverse, few, spread, None, reach=tuple(reach), floor=0.0).pose.inverse
 
 
 def _misfit(surface: Surface, samples: Array, motion: Pose) -> float:

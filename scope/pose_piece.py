@@ -11,10 +11,14 @@ from scope.pose_answer import LEAST_SHOWN, Candidate, PoseOptions, PoseResult
 from scope.pose_decision import CAP, MISSING, Evidence, area_of, margin, same_answer, weigh
 from scope.pose_hold import hold
 from scope.pose_light import Light, eyes, light_of
-from scope.pose_model import Model, Surface, distinct
+from scope.pose_model import Model, distinct
 from scope.pose_refine import evaluate, refine
 from scope.pose_report import what_differs
 from scope.pose_search import View, normals_of, polish, search, thin
+<<<<<<< HEAD
+=======
+from scope.pose_surface import Surface
+>>>>>>> pose
 from scope.pose_uncertainty import Uncertainty, shared_errors, uncertainty
 
 
@@ -57,9 +61,13 @@ def locate(
     uncovered = (
         None if light is None else lambda pose: light.uncovered(surface, pose, model.samples[::40], model.normals[::40])
     )
-    poses, cost = search(model, view, starts=options.starts, uncovered=uncovered)
-    poses, cost = _with_likenesses(model, view, poses, cost, initial)
-    weighed = _weigh_all(model, surface, view, sigma[chosen], light, witnesses, poses, options, spacing)
+    weighed: list[Evidence] = []
+    for starts, keep in ((options.starts, 40), (4 * options.starts, 120)):
+        poses, cost = search(model, view, starts=starts, keep=keep, uncovered=uncovered)
+        poses, cost = _with_likenesses(model, view, poses, cost, initial)
+        weighed = _weigh_all(model, surface, view, sigma[chosen], light, witnesses, poses, options, spacing)
+        if not _misfit(weighed[0], options):
+            break  # else look harder before saying no
     return _decide(cloud, rows, model, surface, weighed, sigma, camera, light, options)
 
 
@@ -165,7 +173,7 @@ def _decide(
             surface, fit.pose, known.loose_motions, points[fit.used], sigma[fit.used], middle, model.diameter / 2
         )
         if settled is not None:
-            rows_held = known.loose_motions / (0.5 * settled[1])[:, None]
+            rows_held = known.loose_motions / settled[1][:, None]
             fit = evaluate(surface, settled[0], points, sigma, camera, cut=reach, floor=options.form)
             known = uncertainty(
                 fit, points, camera, shared_sigma, parameters,

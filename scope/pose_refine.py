@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.geometry import Array, Bools, Pose
-from scope.pose_model import Surface
+from scope.pose_surface import Surface
 
 TAILS = 6.0
 

@@ -51,7 +51,7 @@ def clusters(cloud: ScanCloud, diameter: float, face: float, *, region: Region |
             f"{len(cloud)} points lie on {len(planes)} plane(s) larger than the part and only {len(keep)} stand out; "
             "nothing here can be the part: scan it, or give its region"
         )
-    cell = 0.02 * diameter
+    cell = _cell(cloud.points[keep], diameter)
     keep = keep[crowded(cloud.points[keep], cell)]
     if region is not None:
         return [keep] if len(keep) >= LEAST_POINTS else []
@@ -74,6 +74,16 @@ def extent(points: Array) -> float:
     return float((high - low).max())
 
 
+def _cell(points: Array, diameter: float) -> float:
+    """Side, mm, of the cubes in which neighbours touch: 2 % of the diameter, more for a sparse scan."""
+    from scipy.spatial import cKDTree
+
+    if len(points) < 2:
+        return 0.02 * diameter
+    some = points[:: max(1, len(points) // 500)]
+    return max(0.02 * diameter, 3.0 * float(np.median(cKDTree(points).query(some, k=2)[0][:, 1])))
+
+
 def _without_tables(
     points: Array, keep: Indices, diameter: float, face: float, camera: Array | None
 ) -> tuple[Indices, list[Plane]]:
@@ -86,11 +96,13 @@ def _without_tables(
         if camera is not None and plane.distance(camera[None])[0] < 0:
             side = -side
         on = np.abs(side) < 0.008 * diameter
-        flat = points[keep][on]
-        cell = 0.02 * diameter
+        cell = _cell(points[keep[on]], diameter)
+        # the largest sheet counts, not all points of the plane: equal parts side by side have faces in one plane
+        sheets = _connected(points, keep[on], cell)
+        flat = points[max(sheets, key=len)] if sheets else points[:0]
         area = len(np.unique(np.floor(_in_plane(flat, plane) / cell).astype(np.int64), axis=0)) * cell * cell
         behind = side < -0.02 * diameter
-        if area < 1.2 * face and extent(flat) < 1.3 * diameter:
+        if len(flat) < LEAST_POINTS or (area < 1.2 * face and extent(flat) < 1.3 * diameter):
             break
         if camera is not None and behind.sum() > 0.1 * len(keep):
             break
