@@ -15,10 +15,7 @@ from scope.pose_model import Model, distinct
 from scope.pose_refine import evaluate, refine
 from scope.pose_report import what_differs
 from scope.pose_search import View, normals_of, polish, search, thin
-<<<<<<< HEAD
-=======
 from scope.pose_surface import Surface
->>>>>>> pose
 from scope.pose_uncertainty import Uncertainty, shared_errors, uncertainty
 
 
