@@ -92,7 +92,7 @@ def scene(cell: Cell, rows: int, columns: int, rng: np.random.Generator) -> tupl
             image[i * pitch : (i + 1) * pitch, j * pitch : (j + 1) * pitch] += CONTRAST * disk(
                 u, v, centre, cell.radius, cell.blur
             )
-            centres.append(centre + (j * pitch, i * pitch))
+            centres.append(centre + np.array([j, i]) * pitch)
     gain, read = cell.noise
     noisy = image + rng.normal(size=image.shape) * np.sqrt(gain * image + read**2)
     return np.clip(np.round(noisy), 0, 4000).astype(np.uint16), np.array(centres)

@@ -37,7 +37,11 @@ class View:
 
 def camera(rng: np.random.Generator) -> tuple[float, Array, tuple[float, float]]:
     """Focal length, principal point and barrel distortion."""
-    return rng.uniform(950, 2000), np.array(SIZE) / 2 + rng.uniform(-30, 30, 2), (rng.uniform(-0.35, 0.0), rng.uniform(0, 0.06))
+    return (
+        rng.uniform(950, 2000),
+        np.array(SIZE) / 2 + rng.uniform(-30, 30, 2),
+        (rng.uniform(-0.35, 0.0), rng.uniform(0, 0.06)),
+    )
 
 
 def project(points: Array, focal: float, centre: Array, lens: tuple[float, float]) -> Array:
@@ -81,14 +85,20 @@ def view(
         extent = np.hypot((columns - 1) * pitch[0], (rows - 1) * pitch[1])
         fill = rng.uniform(0.5, 1.6) if fiducials else rng.uniform(0.5, 0.9)
         depth = focal * extent / (fill * np.hypot(*SIZE))
-        middle = target.marks.mean(axis=0) + (rng.uniform(-0.2, 0.2, 3) * extent if fiducials else 0.0) * np.array([1, 1, 0])
+        middle = target.marks.mean(axis=0) + (rng.uniform(-0.2, 0.2, 3) * extent if fiducials else 0.0) * np.array(
+            [1, 1, 0]
+        )
         place = (target.marks - middle) @ rotation.T + np.array([0, 0, depth])
         if place[:, 2].min() < 0.3 * depth:
             continue
         pixels = project(place, focal, centre, lens)
         step = 1e-3
-        right = project((target.marks + [step, 0, 0] - middle) @ rotation.T + np.array([0, 0, depth]), focal, centre, lens)
-        down = project((target.marks + [0, step, 0] - middle) @ rotation.T + np.array([0, 0, depth]), focal, centre, lens)
+        right = project(
+            (target.marks + np.array([step, 0, 0]) - middle) @ rotation.T + np.array([0, 0, depth]), focal, centre, lens
+        )
+        down = project(
+            (target.marks + np.array([0, step, 0]) - middle) @ rotation.T + np.array([0, 0, depth]), focal, centre, lens
+        )
         a, b = (right - pixels) / step, (down - pixels) / step
         scale = np.sqrt(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))  # px a mm
         size = np.full(len(pixels), diameter)
@@ -106,17 +116,30 @@ def view(
             lost[number] = False
         if not fiducials:
             index = np.arange(len(pixels))
-            border = [index % columns == 0, index % columns == columns - 1, index < columns, index >= len(index) - columns]
+            border = [
+                index % columns == 0,
+                index % columns == columns - 1,
+                index < columns,
+                index >= len(index) - columns,
+            ]
             if any((~lost[edge]).sum() == 0 for edge in border):
                 continue
         seen &= ~lost
         good = np.flatnonzero(seen)
         dirt = int(rng.integers(0, 1 + max(1, len(good) // 25)))
-        where = np.concatenate([pixels[good] + rng.normal(0, 0.05, (len(good), 2)), rng.uniform((0, 0), SIZE, (dirt, 2))])
-        wide = np.concatenate([size[good] * (1 + rng.normal(0, 0.015, len(good))), rng.uniform(0.5, 1.5, dirt) * np.median(size[good])])
+        where = np.concatenate(
+            [pixels[good] + rng.normal(0, 0.05, (len(good), 2)), rng.uniform((0, 0), SIZE, (dirt, 2))]
+        )
+        wide = np.concatenate(
+            [size[good] * (1 + rng.normal(0, 0.015, len(good))), rng.uniform(0.5, 1.5, dirt) * np.median(size[good])]
+        )
         truth = np.concatenate([good, np.full(dirt, -1)])
         # dirt on a spot makes one mark, not two
-        gap = np.linalg.norm(where[:, None] - where[None, len(good) :], axis=2) if dirt else np.full((len(where), 1), np.inf)
+        gap = (
+            np.linalg.norm(where[:, None] - where[None, len(good) :], axis=2)
+            if dirt
+            else np.full((len(where), 1), np.inf)
+        )
         clear = np.ones(len(where), dtype=bool)
         for d in range(dirt):
             close = gap[:, d] < wide[len(good) + d]
@@ -125,7 +148,12 @@ def view(
         order = rng.permutation(np.flatnonzero(clear))
         n = len(order)
         spots = Spots(
-            where[order], np.tile(np.eye(2) * 0.0025, (n, 1, 1)), wide[order], np.full(n, 100.0), np.full(n, 1.0), np.zeros(n)
+            where[order],
+            np.tile(np.eye(2) * 0.0025, (n, 1, 1)),
+            wide[order],
+            np.full(n, 100.0),
+            np.full(n, 1.0),
+            np.zeros(n),
         )
         return View(target, spots, truth[order], mirrored, int(seen[number].sum()) if fiducials else 0)
 
@@ -137,7 +165,10 @@ def judge(seen: View) -> str:
     except CalibrationError as error:
         return "refused: " + str(error)[:40]
     given = labels.labelled
-    if labels.mirrored != seen.mirrored or (labels.mark[given & (seen.mark >= 0)] != seen.mark[given & (seen.mark >= 0)]).any():
+    if (
+        labels.mirrored != seen.mirrored
+        or (labels.mark[given & (seen.mark >= 0)] != seen.mark[given & (seen.mark >= 0)]).any()
+    ):
         return "wrong"
     if (given & (seen.mark < 0)).any():
         return "dirt taken for a mark"

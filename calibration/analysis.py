@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration import placement
 from calibration.geometry import Array
 from calibration.plane_map import PlaneMarks, rms
 from calibration.ray_field import RayField
+from calibration.redundancy import redundancy_of
 from calibration.two_plane import TwoPlaneCamera, TwoPlaneFit
 
 GRID = (48, 64)  # rows and columns of the pixels that pictures of the whole image sample
@@ -43,8 +43,8 @@ class ResidualSplit:
     placement_px: float  # moves the marks of one plane together: where that plane stands
     random_px: float  # the rest
     plane_px: Array  # (planes,) the placement part of each plane
-    mark: np.typing.NDArray[np.int64]  # (m,) numbers of the marks seen on two planes or more
-    target_mm: Array  # (m, 2) mm, what repeats of each, in the target's coordinates
+    mark: np.typing.NDArray[np.int64]  # (m,) numbers of the marks
+    target_mm: Array  # (m, 2) mm by which each mark stands off its stated place, in the target's coordinates
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,69 +67,42 @@ def intraplane(fit: TwoPlaneFit) -> Intraplane:
 
 
 def split_residuals(field: RayField, planes: Sequence[PlaneMarks]) -> ResidualSplit:
-    """Split residuals about the joint field into target, placement and random parts.
+    """Split residuals about a joint field into target, placement and random parts.
 
     Parameters
     ----------
     field : RayField
-        Fitted to these planes.
+        Of these planes.
     planes : sequence of PlaneMarks
         Marks of the same number are the same mark of the target.
 
     Returns
     -------
     ResidualSplit
-        Least squares of one common displacement a mark, in the target's coordinates, and the seven placement modes a
-        plane (by alternation, since the two are nearly orthogonal); each mean square is freed of the share that the
-        random part contributes to it. What the field itself can follow (an affine error, for one) is in none of them.
+        Variance components of one least squares in which field, seven placement modes a plane and a random displacement
+        of every mark of the target compete (`calibration.redundancy`). What the field itself can follow (an affine
+        error, for one) is in none of them.
     """
-    empty = ResidualSplit(
-        np.nan, np.nan, np.nan, np.full(len(planes), np.nan), np.zeros(0, dtype=np.int64), np.zeros((0, 2))
-    )
-    if len(planes) < 3:
-        return empty
-    numbers, index = np.unique(np.concatenate([p.mark for p in planes]), return_inverse=True)
-    plane = np.repeat(np.arange(len(planes)), [len(p) for p in planes])
-    seen = np.bincount(index, minlength=len(numbers))
-    raw = np.concatenate([placement.residuals(field, p) for p in planes])
-    px = np.concatenate([np.sqrt(np.abs(np.linalg.det(placement.to_pixels(field, p)))) for p in planes])
-    bases = [np.linalg.qr(_mode_rows(field, p))[0] for p in planes]
-    common, moved = np.zeros((len(numbers), 2)), np.zeros_like(raw)
-    for _ in range(20):
-        rest = raw - moved
-        sums = np.stack([np.bincount(index, rest[:, c], minlength=len(numbers)) for c in range(2)], axis=1)
-        common = np.where(seen[:, None] > 1, sums / seen[:, None], 0.0)
-        rest = raw - common[index]
-        for k, q in enumerate(bases):
-            rows = plane == k
-            moved[rows] = (q @ (q.T @ rest[rows].ravel())).reshape(-1, 2)
-    random = raw - common[index] - moved
-    repeated = seen[index] > 1
-    spent = len(field.coefficients) * 2 + placement.MODES * (len(planes) - 2) + 2 * int((seen > 1).sum())
-    freedom = 2 * len(raw) - spent
-    if freedom <= 0:
-        return empty
-    noise = float(((px[:, None] * random) ** 2).sum() / freedom)  # px^2 a coordinate
-    target = float(((px[:, None] * common[index]) ** 2)[repeated].sum(axis=1).mean()) if repeated.any() else 0.0
-    target -= 2 * noise * float((1 / seen[index][repeated]).mean()) if repeated.any() else 0.0
-    shift = (px[:, None] * moved) ** 2
-    by_plane = np.array([shift[plane == k].sum(axis=1).mean() for k in range(len(planes))])
+    n = len(planes)
+    if n < 3:
+        nan = float("nan")
+        return ResidualSplit(nan, nan, nan, np.full(n, nan), np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    found = redundancy_of(planes, field)
+    marks = np.concatenate([p.pixels for p in planes])
+    depth = np.concatenate([field.depth(p.world) for p in planes])
+    scale = float((1.0 / np.abs(np.linalg.det(field.jacobian(marks, depth)))).mean())  # px^2/mm^2
     counts = np.array([len(p) for p in planes])
-    by_plane = np.maximum(by_plane - placement.MODES * (1 - 2 / len(planes)) * noise / counts, 0.0)
-    many = seen > 1
+    square = np.add.reduceat((found.moved_px**2).sum(axis=1), np.concatenate([[0], np.cumsum(counts)[:-1]]))
+    chance = found.rank * found.sigma_px**2 / n  # what noise alone puts into the modes, a plane
+    by_plane = np.maximum(square - chance, 0.0)
     return ResidualSplit(
-        float(np.sqrt(max(target, 0.0))),
-        float(np.sqrt((by_plane * counts).sum() / counts.sum())),
-        float(np.sqrt(2 * noise)),
-        np.sqrt(by_plane),
-        numbers[many],
-        common[many],
+        float(np.sqrt(2.0 * scale) * found.target_mm),
+        float(np.sqrt(by_plane.sum() / counts.sum())),
+        float(np.sqrt(2.0) * found.sigma_px),
+        np.sqrt(by_plane / counts),
+        found.mark,
+        found.target_shift,
     )
-
-
-def _mode_rows(field: RayField, marks: PlaneMarks) -> Array:
-    rows = placement.modes(field, marks).reshape(2 * len(marks), placement.MODES)
-    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -162,6 +162,8 @@ class Pose:
 def fit_plane(points: Array, *, weights: Array | None = None) -> Plane:
     """Total least squares plane through points (N, 3) mm: the smallest singular direction about the centroid.
 
+    The normal's largest component is positive, so that the same points always give the same plane.
+
     ``ValueError`` for fewer than three points or points on a line, from which no plane follows.
     """
     if len(points) < 3:
@@ -171,4 +173,5 @@ def fit_plane(points: Array, *, weights: Array | None = None) -> Plane:
     _, spread, directions = np.linalg.svd(np.sqrt(w)[:, None] * (points - centre), full_matrices=False)
     if spread[1] <= 1e-12 * spread[0]:
         raise ValueError("the points lie on one line")
-    return Plane.through(centre, directions[2])
+    normal = directions[2]
+    return Plane.through(centre, normal * np.sign(normal[int(np.argmax(np.abs(normal)))]))

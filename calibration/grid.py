@@ -23,6 +23,8 @@ from calibration.targets import SpotGrid
 
 Turned = Literal[0, 90, 180, 270]
 
+_ODD_SIZE = 0.25  # a spot whose size is off by more than this part is no mark
+
 # Maps of lattice indices (i, j) to (column, row) of the target, up to a shift: the turns and reflections, and all of
 # them along the diagonals of a cell too, since a strong tilt can make these look squarer than its sides.
 _WAYS: tuple[NDArray[np.int64], ...] = tuple(
@@ -104,19 +106,38 @@ def label_grid(
             f"only {int(on.sum())} of {len(spots)} spots form a grid; the grid of {target.rows} x {target.columns} "
             "must fill most of the view: check polarity, reflections and whether this is the right target"
         )
+    if lattice.strays > 0.12 * on.sum():
+        raise CalibrationError(
+            f"{lattice.strays} spots lie between the {int(on.sum())} that form a grid: which is which cannot be told: "
+            "clean the target, remove reflections or look at it less obliquely"
+        )
     where = np.flatnonzero(on)
     cell = _right_handed(index[on], points[on])
+    # spots over the side of their cell: tilt and lens cancel, so that only fiducials, and dirt, stand out
+    size = spots.diameter[on] / lattice.side[on]
+    size = size / np.median(size)
     if target.fiducials:
-        # spots over the side of their cell: tilt and lens cancel, so that only fiducials stand out
-        size = spots.diameter[on] / lattice.side[on]
-        way, runner_up = _by_fiducials(cell, size / np.nanmedian(size), target, strays=bool(on.sum() < len(spots)))
+        way, runner_up = _by_fiducials(cell, size, target, strays=bool(on.sum() < len(spots)))
     else:
         way, runner_up = _by_border(cell, points[on], target, image_size, turned)
     mark = np.full(len(spots), -1, dtype=np.int64)
     column, row = way.cell.T
     inside = (column >= 0) & (column < target.columns) & (row >= 0) & (row < target.rows)
+    inside &= np.abs(size / _expected_size(way.cell, target) - 1.0) < _ODD_SIZE
     mark[where[inside]] = row[inside] * target.columns + column[inside]
     return GridLabels(mark, way.mirrored, way.matched, way.against, runner_up)
+
+
+def _expected_size(cell: Ints, target: SpotGrid) -> Array:
+    """Diameters (K,) that the target has at cells (K, 2), over that of an ordinary spot."""
+    fiducials = np.array([(column, row) for row, column in target.fiducials], dtype=np.int64).reshape(-1, 2)
+    special = (cell[:, None] == fiducials[None]).all(axis=2).any(axis=1)
+    return np.where(special, _fiducial_size(target), 1.0)
+
+
+def _fiducial_size(target: SpotGrid) -> float:
+    """Diameter of a fiducial over that of an ordinary spot; half as large again where the target does not say."""
+    return 1.5 if target.fiducial_diameter is None else target.fiducial_diameter / target.diameter
 
 
 def _right_handed(index: Ints, points: Array) -> Ints:
@@ -127,8 +148,8 @@ def _right_handed(index: Ints, points: Array) -> Ints:
 
 
 def _by_fiducials(cell: Ints, size: Array, target: SpotGrid, *, strays: bool) -> tuple[_Way, int | None]:
-    """Find the way that the larger spots demand; ``size`` (K,) is relative, 1 for ordinary ones, NaN where unknown."""
-    expected = (target.fiducial_diameter or 1.5 * target.diameter) / target.diameter
+    """Find the way that the larger spots demand; ``size`` (K,) is relative, 1 for ordinary ones."""
+    expected = _fiducial_size(target)
     large = size > 1.0 + 0.6 * (expected - 1.0) if expected > 1.0 else size < 1.0 - 0.6 * (1.0 - expected)
     plain = size < 1.0 + 0.4 * (expected - 1.0) if expected > 1.0 else size > 1.0 - 0.4 * (1.0 - expected)
     offers = _offers(cell, large, plain, target)

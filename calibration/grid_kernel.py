@@ -70,22 +70,30 @@ def _predict(points: Array, where: Ints, i: int, j: int, basis: Array, skip: int
 _predict = numba.njit(cache=True, error_model="numpy")(_predict)
 
 
-def _grow(points: Array, seed: int, basis: Array, reach: int, tolerance: float) -> Ints:
+def _grow(points: Array, start: Ints, basis: Array, reach: int, tolerance: float) -> Ints:
     n = len(points)
     side = 2 * reach + 1
     where = np.full((side, side), -1, np.int64)  # point of a cell
     tried = np.zeros((side, side), np.float64)  # weight of what predicted a cell when it was last looked at
-    cell = np.full((n, 2), -1, np.int64)
-    where[reach, reach] = seed
-    cell[seed, 0] = cell[seed, 1] = reach
+    cell = start.copy()
+    grown = 0
+    for k in range(n):
+        if cell[k, 0] >= 0:
+            where[cell[k, 0], cell[k, 1]] = k
+            grown += 1
     place = np.empty(6)
     list_i, list_j, weight = np.empty(side * side, np.int64), np.empty(side * side, np.int64), np.empty(side * side)
-    step, grown = 1, 1
+    step = 1
     while True:
         # the cells beside what is known, best supported first
         count = 0
-        for i in range(2, side - 2):
-            for j in range(2, side - 2):
+        i0, i1, j0, j1 = side, 0, side, 0
+        for k in range(n):
+            if cell[k, 0] >= 0:
+                i0, i1 = min(i0, cell[k, 0]), max(i1, cell[k, 0])
+                j0, j1 = min(j0, cell[k, 1]), max(j1, cell[k, 1])
+        for i in range(max(2, i0 - step), min(side - 2, i1 + step + 1)):
+            for j in range(max(2, j0 - step), min(side - 2, j1 + step + 1)):
                 if where[i, j] >= 0:
                     continue
                 support = 0.0
@@ -148,7 +156,8 @@ def _misfit(points: Array, cell: Ints, basis: Array, reach: int) -> Array:
     return out
 
 
-#: ``grow(points, seed, basis, reach, tolerance) -> (N, 2)``: cells of the points, -1 where they are on no lattice.
+#: ``grow(points, start, basis, reach, tolerance) -> (N, 2)``: cells of the points from 0 to 2 reach, -1 where they are on
+#: no lattice, grown from those that ``start`` (N, 2) has.
 grow = numba.njit(cache=True, error_model="numpy")(_grow)
 #: ``misfit(points, cell, basis, reach) -> (N, 3)``: distance of each point from where its neighbours predict it, in
 #: steps; the side of a square of the area of its cell, px; and the weight of the neighbours.

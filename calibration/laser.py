@@ -59,7 +59,7 @@ class Laser:
     def sigma_at(self, points: Array) -> Array:
         """Standard deviation (N,) mm of the sheet along its normal at points (N, 3), from the calibration."""
         terms = self.frame.terms(points, curved=len(self.covariance) == 6)
-        return np.asarray(np.sqrt(np.maximum(np.einsum("nd,de,ne->n", terms, self.covariance, terms), 0)))
+        return np.asarray(np.sqrt(np.maximum(((terms @ self.covariance) * terms).sum(axis=1), 0)))
 
 
 def _flat(sheet: Sheet) -> Plane:

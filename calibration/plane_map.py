@@ -71,8 +71,9 @@ class PlaneMap:
     def jacobian(self, pixels: Array) -> Array:
         """Derivatives (N, 2, 2) mm/px of the plane coordinates by (u, v)."""
         square, by_pixel = self.domain.square_and_jacobian(pixels)
-        by_square = np.stack(polynomial.design_gradient(square, self.terms), axis=-1)  # (N, d, 2)
-        return np.asarray(np.einsum("ndk,dc,nkp->ncp", by_square, self.coefficients, by_pixel))
+        along, down = polynomial.design_gradient(square, self.terms)
+        by_square = np.stack([along @ self.coefficients, down @ self.coefficients], axis=2)
+        return np.asarray(by_square @ by_pixel)
 
     def sigma_at(self, pixels: Array) -> Array:
         """Standard deviation (N,) mm of one plane coordinate of the map itself, from the noise of its marks."""
@@ -165,17 +166,19 @@ def _fit(marks: PlaneMarks, domain: Domain, terms: Terms) -> PlaneFit:
             "marks: show more of the target or lower --order"
         )
     p = polynomial.design(domain.square(marks.pixels), terms)
+    freedom = len(marks) - need
     try:
+        _check_spread(marks.points)
         fit = polynomial.solve(p, marks.points)
+        sigma = float(np.sqrt((fit.residuals**2).sum() / (2 * freedom))) if freedom else float("nan")
+        plane_map = PlaneMap(marks.name, terms, domain, fit.solution, marks.c_from_plane, fit.inverse, sigma)
+        to_px = np.linalg.inv(plane_map.jacobian(marks.pixels))  # singular where the points lie on one line
     except np.linalg.LinAlgError as error:
         raise CalibrationError(
             f"plane {marks.name}: the {len(marks)} marks do not determine order {terms} (they lie on one line, or on too "
             "few rows or columns): show more of the target or lower --order"
         ) from error
-    freedom = len(marks) - need
-    sigma = float(np.sqrt((fit.residuals**2).sum() / (2 * freedom))) if freedom else float("nan")
-    plane_map = PlaneMap(marks.name, terms, domain, fit.solution, marks.c_from_plane, fit.inverse, sigma)
-    to_px, alone = np.linalg.inv(plane_map.jacobian(marks.pixels)), fit.left_out()
+    alone = fit.left_out()
     return PlaneFit(
         plane_map,
         np.einsum("nij,nj->ni", to_px, fit.residuals),
@@ -183,6 +186,13 @@ def _fit(marks: PlaneMarks, domain: Domain, terms: Terms) -> PlaneFit:
         fit.residuals,
         alone,
     )
+
+
+def _check_spread(points: Array) -> None:
+    """``LinAlgError`` for points on one line, whose image a lens may bend so that it looks like more than a line."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[-1] <= 1e-9 * spread[0]:
+        raise np.linalg.LinAlgError("points on one line")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -61,6 +61,8 @@ class Domain:
 
 
 def _project(h: Array, pixels: Array) -> tuple[Array, Array]:
+    if h[2, 0] == 0.0 and h[2, 1] == 0.0:  # affine: nothing to divide by but one number
+        return (pixels @ h[:2, :2].T + h[:2, 2]) / h[2, 2], np.full(len(pixels), h[2, 2])
     x = pixels @ h[:, :2].T + h[:, 2]
     return x[:, :2] / x[:, 2:], x[:, 2]
 

@@ -13,6 +13,8 @@ in its coefficients, and the marks of every plane, tilted or not, are fitted in 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +23,9 @@ from calibration.errors import CalibrationError
 from calibration.geometry import Array, Rays
 from calibration.plane_map import PlaneMarks, rms
 from calibration.polynomial import Domain
+
+if TYPE_CHECKING:
+    from calibration.series import Series
 
 MAX_ORDER = 9
 
@@ -57,12 +62,9 @@ class RayField:
 
     def rays(self, pixels: Array) -> Rays:
         """Rays in C; their origins are at the depth of the plane nearest to the camera."""
-        square = self.domain.square(pixels)
         near = self.depths[0] if self.forward > 0 else self.depths[-1]
-        slopes = polynomial.design(square, self.slope_order)
-        split = slopes.shape[1]
-        b = slopes @ self.coefficients[:split] / self.reach
-        a = polynomial.design(square, self.origin_order) @ self.coefficients[split:]
+        found = _series(self).values(self.domain.square(pixels)).T
+        b, a = found[:, :2] / self.reach, found[:, 2:]
         origin = np.column_stack([a + (near - self.pivot) * b, np.full(len(pixels), near)])
         direction = self.forward * np.column_stack([b, np.ones(len(pixels))])
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -71,16 +73,16 @@ class RayField:
     def jacobian(self, pixels: Array, depth: Array) -> Array:
         """Derivatives (N, 2, 2) mm/px of `crossing` by (u, v)."""
         square, by_pixel = self.domain.square_and_jacobian(pixels)
-        slope = np.stack(polynomial.design_gradient(square, self.slope_order), axis=-1)
-        start = np.stack(polynomial.design_gradient(square, self.origin_order), axis=-1)
-        lever = ((depth - self.pivot) / self.reach)[:, None, None]
-        by_square = np.concatenate([slope * lever, start], axis=1)
-        return np.asarray(np.einsum("ndk,dc,nkp->ncp", by_square, self.coefficients, by_pixel))
+        _, by_s, by_t = _series(self).values_and_slopes(square)
+        by_square = np.stack([by_s, by_t])  # (s or t, x and y of B then of A, N)
+        moved = by_square[:, :2] * ((depth - self.pivot) / self.reach) + by_square[:, 2:]
+        return np.asarray(np.matmul(moved.transpose(2, 1, 0), by_pixel))
 
     def sigma_at(self, pixels: Array, depth: Array) -> Array:
         """Standard deviation (N,) mm of one coordinate of `crossing`, from the noise of the marks alone."""
-        rows = self.design(pixels, depth)
-        return np.asarray(self.sigma * np.sqrt(np.einsum("nd,de,ne->n", rows, self.inverse, rows)))
+        lever = (depth - self.pivot) / self.reach
+        square, mixed, plain = _variance_series(self).values(self.domain.square(pixels))
+        return np.asarray(self.sigma * np.sqrt(np.maximum((square * lever + mixed) * lever + plain, 0.0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -319,6 +321,33 @@ def _repetition(residuals: Array, group: np.typing.NDArray[np.int64]) -> float:
     pairs = float((total**2).sum()) - own  # sum over ordered pairs within groups
     rho = (pairs / max(float((count * (count - 1)).sum()), 1.0)) / (own / len(residuals))
     return float(np.sqrt(1.0 + (members - 1.0) * np.clip(rho, 0.0, 1.0)))
+
+
+@lru_cache(maxsize=32)
+def _series(field: RayField) -> Series:
+    """Coordinates x and y of B, then of A, as functions of the pixel's square coordinates."""
+    from calibration.series import Series
+
+    slope, start = polynomial.exponents(field.slope_order), polynomial.exponents(field.origin_order)
+    b, a = field.coefficients[: len(slope)], field.coefficients[len(slope) :]
+    return Series.joined([Series.of_terms(slope, b), Series.of_terms(start, a)])
+
+
+@lru_cache(maxsize=32)
+def _variance_series(field: RayField) -> Series:
+    """Factors of lever^2, lever and 1 in the variance of `RayField.crossing` over sigma^2."""
+    from calibration.series import Series
+
+    slope, start = polynomial.exponents(field.slope_order), polynomial.exponents(field.origin_order)
+    split, size = len(slope), 2 * max(field.slope_order, field.origin_order) + 1
+    bb, ba, aa = field.inverse[:split, :split], field.inverse[:split, split:], field.inverse[split:, split:]
+    return Series.joined(
+        [
+            Series.of_form(slope, slope, bb, size),
+            Series.of_form(slope, start, 2.0 * ba, size),
+            Series.of_form(start, start, aa, size),
+        ]
+    )
 
 
 def _design(square: Array, lever: Array, slope_order: int, origin_order: int) -> Array:

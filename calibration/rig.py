@@ -26,6 +26,8 @@ from calibration.volume import Volume
 
 FORMAT = 1
 _LARGEST = 64 << 20  # bytes
+_HIGHEST = 20  # order of a polynomial that a rig may ask for
+_CHANNELS = {"auto", "gray", *(f"{colour}{kind}" for colour in ("red", "green", "blue") for kind in ("", "-excess"))}
 
 AnyCamera = TwoPlaneCamera | PinholeCamera
 
@@ -82,7 +84,7 @@ class Rig:
             )
         try:
             return _rig(content, hashlib.sha256(data).hexdigest())
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
             text = f"{type(error).__name__}: {error}"[:100]
             raise FileError(f"{path}: damaged or edited ({text}); calibrate again") from error
 
@@ -161,14 +163,50 @@ def _plain(value: Any) -> Any:
 T = TypeVar("T")
 
 
-def _array(content: Any, *shape: int) -> Array:
-    """Array of a shape (-1: any length); null becomes NaN."""
+def _array(content: Any, *shape: int, known: bool = True) -> Array:
+    """Array of a shape (-1: any length), finite where it must be ``known``; null becomes NaN."""
     values = np.array(content, dtype=np.float64)
     if values.size == 0:
         values = values.reshape([max(n, 0) for n in shape])
     if values.ndim != len(shape) or any(n not in {-1, m} for n, m in zip(shape, values.shape, strict=True)):
         raise ValueError(f"an array of shape {shape} was expected, found {values.shape}")
+    if known and not np.isfinite(values).all():
+        raise ValueError("a number that must be known is null or infinite")
     return values
+
+
+def _unit(content: Any) -> Array:
+    """Unit vector (3,)."""
+    vector = _array(content, 3)
+    if abs(float(np.linalg.norm(vector)) - 1.0) > 1e-6:
+        raise ValueError(f"a unit vector was expected, found length {np.linalg.norm(vector):g}")
+    return vector
+
+
+def _rotation(content: Any) -> Array:
+    rotation = _array(content, 3, 3)
+    Pose.from_matrix(Pose(rotation, np.zeros(3)).matrix, tolerance=1e-6)  # its ValueError is this rig's
+    return rotation
+
+
+def _positive(content: Any) -> float:
+    value = float(content)
+    if not 0 < value < np.inf:
+        raise ValueError(f"a positive number was expected, found {value}")
+    return value
+
+
+def _order(content: Any) -> int:
+    order = int(content)
+    if not 0 <= order <= _HIGHEST:
+        raise ValueError(f"an order from 0 to {_HIGHEST} was expected, found {order}")
+    return order
+
+
+def _one_of(content: Any, allowed: set[str]) -> str:
+    if content not in allowed:
+        raise ValueError(f"{content!r} is none of {', '.join(sorted(allowed))}")
+    return str(content)
 
 
 def _number(content: Any) -> float:
@@ -186,7 +224,7 @@ def _rig(content: dict[str, Any], digest: str) -> Rig:
         lasers={str(name): _laser(item) for name, item in content["lasers"].items()},
         stages=_each(content["stages"], _stage),
         verification=Verification(
-            verdict["passed"] is True, str(verdict["why"]), tuple(verdict["faults"]), tuple(verdict["planes"]),
+            verdict["passed"] is True, str(verdict["why"]), _each(verdict["faults"], dict), _each(verdict["planes"], _told),
             _number(verdict["interplane_px"]),
         ),
         accept={str(key): float(value) for key, value in content["accept"].items()},
@@ -198,22 +236,31 @@ def _rig(content: dict[str, Any], digest: str) -> Rig:
     )  # fmt: skip
 
 
+def _told(content: Any) -> dict[str, Any]:
+    """What was found on one plane."""
+    return {**dict(content), "name": content["name"], "loo_px": content["loo_px"], "heldout_mm": content["heldout_mm"]}
+
+
 def _camera(content: dict[str, Any]) -> AnyCamera:
     size = (int(content["size"][0]), int(content["size"][1]))
+    if not (0 < size[0] < 1 << 20 and 0 < size[1] < 1 << 20):
+        raise ValueError(f"images of {size[0]} x {size[1]} px")
     volume = Volume(_array(content["volume"]["normals"], -1, 3), _array(content["volume"]["offsets"], -1))
     if content["model"] == "pinhole":
         return PinholeCamera(
             _array(content["matrix"], 3, 3), _array(content["distortion"], 5), _pose(content["c_from_camera"]), size, volume,
-            _array(content["covariance"], 9, 9), _number(content["sigma"]),
+            _array(content["covariance"], 9, 9, known=False), _number(content["sigma"]),
         )  # fmt: skip
     if content["model"] not in {"two-plane", "joint"}:
         raise ValueError(f"camera model {content['model']!r}")
-    maps = _each(content["maps"], _plane_map)
-    return TwoPlaneCamera(maps, _field(content["field"]), size, volume, content["model"])
+    maps, field = _each(content["maps"], _plane_map), _field(content["field"])
+    if len(maps) < 2 or len(maps) != len(field.depths):
+        raise ValueError(f"{len(maps)} plane maps and {len(field.depths)} depths; two or more, one a depth")
+    return TwoPlaneCamera(maps, field, size, volume, content["model"])
 
 
 def _pose(content: dict[str, Any]) -> Pose:
-    return Pose(_array(content["rotation"], 3, 3), _array(content["translation"], 3))
+    return Pose(_rotation(content["rotation"]), _array(content["translation"], 3))
 
 
 def _domain(content: dict[str, Any]) -> Domain:
@@ -221,33 +268,34 @@ def _domain(content: dict[str, Any]) -> Domain:
 
 
 def _plane_map(content: dict[str, Any]) -> PlaneMap:
-    terms = content["terms"] if content["terms"] in {"linear", "paper"} else int(content["terms"])
+    terms = content["terms"] if content["terms"] in {"linear", "paper"} else _order(content["terms"])
     n = len(exponents(terms))
     return PlaneMap(
         str(content["name"]), terms, _domain(content["domain"]), _array(content["coefficients"], n, 2),
-        _pose(content["c_from_plane"]), _array(content["inverse"], n, n), _number(content["sigma"]),
+        _pose(content["c_from_plane"]), _array(content["inverse"], n, n, known=False), _number(content["sigma"]),
     )  # fmt: skip
 
 
 def _field(content: dict[str, Any]) -> RayField:
-    slope, origin = int(content["slope_order"]), int(content["origin_order"])
+    slope, origin = _order(content["slope_order"]), _order(content["origin_order"])
     n = len(exponents(slope)) + len(exponents(origin))
     return RayField(
-        _array(content["c_from_d"], 3, 3), _domain(content["domain"]), slope, origin, float(content["pivot"]),
-        float(content["reach"]), _array(content["coefficients"], n, 2), _array(content["inverse"], n, n),
+        _rotation(content["c_from_d"]), _domain(content["domain"]), slope, origin, float(content["pivot"]),
+        _positive(content["reach"]), _array(content["coefficients"], n, 2), _array(content["inverse"], n, n, known=False),
         _number(content["sigma"]), _array(content["depths"], -1), float(content["forward"]),
     )  # fmt: skip
 
 
 def _frame(content: dict[str, Any]) -> SheetFrame:
-    return SheetFrame(_array(content["centre"], 3), _array(content["axes"], 2, 3), float(content["reach"]))
+    return SheetFrame(_array(content["centre"], 3), _array(content["axes"], 2, 3), _positive(content["reach"]))
 
 
 def _laser(content: dict[str, Any]) -> Laser:
     terms = len(content["covariance"])
     return Laser(
-        str(content["name"]), _sheet(content["sheet"]), _frame(content["frame"]), _array(content["covariance"], terms, terms),
-        _array(content["origin"], 3), str(content["along"]), str(content["channel"]), _number(content["rms_mm"]),
+        str(content["name"]), _sheet(content["sheet"]), _frame(content["frame"]), _array(content["covariance"], terms, terms, known=False),
+        _array(content["origin"], 3, known=False), _one_of(content["along"], {"rows", "columns"}),
+        _one_of(content["channel"], _CHANNELS), _number(content["rms_mm"]),
         _number(content["loo_mm"]), _number(content["flatness_mm"]), _number(content["flatness_sigma"]), int(content["n"]),
         _each(
             content["planes"],
@@ -259,15 +307,15 @@ def _laser(content: dict[str, Any]) -> Laser:
 def _sheet(content: dict[str, Any]) -> Sheet:
     if content["kind"] == "curved":
         base = content["plane"]
-        plane = Plane(_array(base["normal"], 3), float(base["offset"]))
+        plane = Plane(_unit(base["normal"]), float(base["offset"]))
         return CurvedSheet(plane, _frame(content["frame"]), _array(content["curvature"], 3))
-    return Plane(_array(content["normal"], 3), float(content["offset"]))
+    return Plane(_unit(content["normal"]), float(content["offset"]))
 
 
 def _stage(content: dict[str, Any]) -> Stage:
     if content["kind"] not in {"linear", "turntable"}:
         raise ValueError(f"stage {content['kind']!r}")
     return Stage(
-        content["kind"], _array(content["direction"], 3), _array(content["point"], 3), _number(content["direction_sigma"]),
+        content["kind"], _unit(content["direction"]), _array(content["point"], 3), _number(content["direction_sigma"]),
         _number(content["scale"]), _number(content["rms_mm"]),
     )  # fmt: skip

@@ -45,7 +45,7 @@ class Spots:
 
     centroids: Array  # (N, 2) px (u, v)
     covariance: Array  # (N, 2, 2) px^2, from image noise and raggedness of the outline
-    diameter: Array  # (N,) px, of the circle of equal area
+    diameter: Array  # (N,) px, of the circle of equal area, blur taken off
     contrast: Array  # (N,) grey levels between spot and surroundings, positive
     blur: Array  # (N,) px, one sigma of the edge, pixel included
     saturated: Array  # (N,) fraction of the spot's pixels that are clipped
@@ -210,8 +210,8 @@ def measure_marks(
     else:
         reason = ["no mark in the image"] * len(asked)
     names, counts = np.unique(chosen[chosen >= 0], return_counts=True)
-    for k in names[counts > 1]:
-        for i in np.flatnonzero(chosen == k):
+    for twice in names[counts > 1]:
+        for i in np.flatnonzero(chosen == twice).tolist():
             chosen[i], reason[i] = -1, "another listed pixel is nearest to the same mark"
     hit = chosen >= 0
 
@@ -324,7 +324,9 @@ def _assemble(shapes: Array, fit: Array) -> Spots:
 
     excess = np.maximum(fit[:, kernel.CHI2], 1.0)[:, None, None]
     covariance = fit[:, [kernel.CUU, kernel.CUV, kernel.CUV, kernel.CVV]].reshape(-1, 2, 2) * excess
-    diameter = 2.0 * (fit[:, kernel.GUU] * fit[:, kernel.GVV] - fit[:, kernel.GUV] ** 2) ** 0.25
+    half = 2.0 * (fit[:, kernel.GUU] * fit[:, kernel.GVV] - fit[:, kernel.GUV] ** 2) ** 0.25
+    # blur draws the half level of a curved edge inwards
+    diameter = half + 2.0 * fit[:, kernel.E_BLUR] ** 2 / half
     contrast = shapes[:, kernel.LEVEL] - shapes[:, kernel.GROUND]
     return Spots(
         fit[:, :2].copy(),

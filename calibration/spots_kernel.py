@@ -390,7 +390,7 @@ def _edges(
             wider = damp * step[5]
             blur = min(max(blur + wider, 0.6 * blur), 1.6 * blur)
             bent = (abs(step[2]) + abs(step[3]) + abs(step[4])) / math.sqrt(guu + gvv)
-            if length < 0.01 * blur and abs(wider) < 0.03 * blur and bent < 0.06 * blur:
+            if length < 0.03 * blur and abs(wider) < 0.1 * blur and bent < 0.15 * blur:
                 break
         if not good:
             continue

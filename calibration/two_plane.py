@@ -10,7 +10,7 @@ import numpy as np
 from calibration.errors import CalibrationError
 from calibration.geometry import Array, Rays
 from calibration.plane_map import Order, PlaneFit, PlaneMap, PlaneMarks, fit_plane_map
-from calibration.ray_field import RayField, RayFieldFit, fit_ray_field
+from calibration.ray_field import RayField, RayFieldFit, depth_frame, fit_ray_field
 from calibration.volume import Volume
 
 SAME_DEPTH = 1e-3  # of the depths' own size: planes closer than this stand at the same stand-off
@@ -58,7 +58,7 @@ class TwoPlaneCamera:
     def shift(self, pixels: Array, points: Array) -> Array:
         """Movement (N, 3, 2) mm/px, across depth, of points on the rays of pixels when the pixel moves."""
         across = self.field.jacobian(pixels, self.field.depth(points))
-        return np.asarray(np.einsum("ij,njk->nik", self.field.c_from_d[:, :2], across))
+        return np.asarray(self.field.c_from_d[:, :2] @ across)
 
     def sigma_at(self, pixels: Array, points: Array) -> Array:
         """Standard deviation (N,) mm of the rays across depth at points (N, 3), from the noise of the marks."""
@@ -107,16 +107,16 @@ def fit_two_plane(
             f"one plane is not enough: found {len(planes)} ({names}); the method of planes needs two or more stand-offs: "
             "add a [[plane]] at another stand-off"
         )
-    joint = fit_ray_field(planes)
-    depth = np.array([joint.field.depth(p.world).mean() for p in planes])
+    axis = depth_frame(planes)[:, 2]
+    depth = np.array([(p.world @ axis).mean() for p in planes])
     rank = np.argsort(depth)
     ordered = [planes[k] for k in rank]
     _check_depths(ordered, depth[rank])
+    joint = fit_ray_field(planes)
     fits = [_fit(p, order, joint.field) for p in ordered]
     if order == "auto":
         common = _common_order(ordered, fits)
         fits = [_fit(p, common, joint.field) for p in ordered]
-    axis = joint.field.c_from_d[:, 2]
     volume = Volume.around(np.concatenate([p.world for p in planes]), axis)
     camera = TwoPlaneCamera(tuple(f.map for f in fits), joint.field, size, volume, model)
     return TwoPlaneFit(camera, tuple(fits), tuple(ordered), joint)

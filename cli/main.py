@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 import typer
 
-from cli import calibrate, scan, view
+from cli import calibrate, locate, measure, scan, view
 from scope.version import __version__
 
 app = typer.Typer(
@@ -33,10 +34,11 @@ def root(
     """Lengths are mm, angles degrees, pixels (u, v) = (column, row) from the centre of the first pixel."""
 
 
-for _commands in (calibrate, scan, view):
+for _commands in (calibrate, scan, measure, locate, view):
     _commands.register(app)
 
 
 def main() -> None:
     """Run the command."""
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # read when OpenCV is first imported; SCOPE says what is wrong
     app()

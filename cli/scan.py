@@ -31,6 +31,18 @@ def scan(
     extrapolate: Annotated[
         float, typer.Option("--extrapolate", min=0.0, help="Range this far outside the calibrated volume, mm.")
     ] = 0.0,
+    isolated: Annotated[
+        int | None,
+        typer.Option("--isolated", min=1, max=8, help="Remove points with fewer neighbours than this on the scan."),
+    ] = None,
+    max_incidence: Annotated[
+        float | None,
+        typer.Option("--max-incidence", min=1.0, max=90.0, help="Remove surface seen at a steeper angle, degrees."),
+    ] = None,
+    voxel: Annotated[
+        float | None,
+        typer.Option("--voxel", min=1e-3, help="Keep the most certain point of each cube of this edge, mm."),
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from an interrupted scan's cloud.ply.part.")] = False,
     allow_unverified: Annotated[
         bool, typer.Option("--allow-unverified", help="Exit 0 although the rig is not verified.")
@@ -40,25 +52,29 @@ def scan(
     quiet: Quiet = False,
 ) -> None:
     """Range every stripe image of a capture and write one point cloud."""
-    from calibration.atomic import write_text
-    from scope import pipeline
+    from calibration.atomic import require_folder, write_text
+    from scope.scan_file import scan_to_file  # and no more of scope: the first point is there before the rest is loaded
+    from scope.scanning import scan_options
 
     with user_errors():
-        pipeline.require_writable(out, report)
+        if report is not None:
+            require_folder(report)
         with progress("scanning", quiet=quiet) as tick:
-            found = pipeline.scan_to_file(
-                capture, rig, out, pipeline.scan_options(method=method, normals=normals, max_sigma=max_sigma, extrapolate=extrapolate),
-                resume=resume, on_frame=tick,
+            options = scan_options(
+                method=method, normals=normals, max_sigma=max_sigma, extrapolate=extrapolate, isolated=isolated,
+                max_incidence=max_incidence, voxel=voxel,
             )  # fmt: skip
+            found = scan_to_file(capture, rig, out, options, resume=resume, on_frame=tick)
+        from scope import scan_report
+
         say(f"wrote {out}", quiet=quiet)
         if report is not None:
-            write_text(report, pipeline.scan_page(found, capture))
+            write_text(report, scan_report.scan_page(found, capture))
             say(f"wrote {report}", quiet=quiet)
-    result = pipeline.scan_result(found)
-    emit(result, as_json=as_json, text=pipeline.scan_text(found))
+    emit(scan_report.scan_result(found), as_json=as_json, text=scan_report.scan_text(found))
     if found.why_incomplete:
         say(f"incomplete: {found.why_incomplete}; go on with --resume", quiet=quiet)
-    if not found.cloud.verified and not allow_unverified:
+    if not found.verified and not allow_unverified:
         say(
             "the rig is not verified: do not use this cloud (scope verify says why; --allow-unverified accepts it)",
             quiet=quiet,

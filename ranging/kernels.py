@@ -35,6 +35,8 @@ def peaks_of_rows(image: Pixels, dark: Pixels, has_dark: bool, half: int, out: N
     rows, columns = image.shape
     lit = np.zeros(columns, image.dtype)
     comb = np.zeros(COMB, image.dtype)
+    order = np.arange(COMB).astype(np.uint16)
+    last = np.uint16(COMB)
     for i in range(rows):
         line = image[i]
         if has_dark:
@@ -43,10 +45,10 @@ def peaks_of_rows(image: Pixels, dark: Pixels, has_dark: bool, half: int, out: N
                 lit[j] = max(line[j], off[j]) - off[j]
             line = lit
         top = _fold(line, comb)
-        tooth = 0
-        while comb[tooth] != top:
-            tooth += 1
-        at = tooth
+        tooth = last
+        for k in range(COMB):
+            tooth = min(tooth, order[k] if comb[k] == top else last)
+        at = int(tooth)
         while line[at] != top:
             at += COMB
         left, right = max(0, at - half), min(columns, at + half + 1)

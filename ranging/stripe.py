@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -144,6 +144,27 @@ def extract(
     return _stripe(along, table, peaks, noise, contrast, view.saturation, options)
 
 
+def estimate_noise(
+    images: Sequence[Image], *, along: Along, options: StripeOptions | None = None, background: Image | None = None
+) -> Noise:
+    """Gain and read noise of the camera from a few stripe images of one capture.
+
+    Each image tells its own by how its lines differ from their neighbours (see `ranging.stripe_speckle`); texture can
+    only add to that, so the quieter images are believed: upper quartile of the gains, lower quartile of the read noises.
+    Give the result to `StripeOptions`, so that not every frame has to learn it anew. Images on which too few lines are
+    lit fall back to `typical_noise`.
+    """
+    if not images:
+        raise ValueError("at least one image")
+    asked = replace(options or StripeOptions(), gain_e=None, read_noise=None, speckle="off", neighbours=False)
+    found = [extract(image, along=along, options=asked, background=background).noise for image in images]
+    known = [noise for noise in found if noise is not None]
+    return Noise(
+        float(np.percentile([noise.gain_e for noise in known], 75)),
+        float(np.percentile([noise.read_noise for noise in known], 25)),
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
     """An image as lines across the stripe."""
@@ -169,13 +190,10 @@ def _known_noise(options: StripeOptions) -> Noise | None:
 
 def _looks_speckled(table: Array) -> bool:
     """Whether the profiles, or the peaks of neighbouring lines, differ by more than shot and read noise explain."""
-    misfit = table[t.MISFIT]
-    good = np.isfinite(misfit)
-    if np.count_nonzero(good) < 40:
-        return False
-    peak = table[t.PEAK, good]
-    rough = np.median(np.abs(np.diff(peak)) / peak[1:])
-    return bool(np.median(misfit[good]) > 1.4 or rough > 0.06)
+    from ranging.stripe_judge import count_uneven
+
+    good, misfits, rough = count_uneven(table, 2.2, 0.06)
+    return bool(good >= 40 and max(misfits, rough) > 0.5 * good)
 
 
 def _learn(

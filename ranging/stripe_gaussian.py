@@ -44,9 +44,9 @@ Single: TypeAlias = Any  # a float32 of the machine
 Lanes: TypeAlias = NDArray[np.float32]
 
 BATCH = 16  # lines
-NEAR = 8  # px; half window in which the flanks of most stripes are found
+NEAR = 6  # px; half window in which the flanks of most stripes are found
 FAR = 24  # px; the longest half window
-WINGS = 3.5  # sigma; half window of the fit, before it is rounded up
+WINGS = 3.0  # sigma; half window of the fit, before it is rounded up
 LONGEST = 2 * FAR + 1
 MASKED = 1e-6  # least weight of a clipped pixel
 
@@ -85,11 +85,12 @@ def fit_lines(
     clipped = np.zeros(BATCH, np.int64)
     inverse_gain = np.float32(1.0 / gain_e)
     noise = np.float32(variance)
-    reach = NEAR
+    reach, wing = NEAR, NEAR
     for start in range(0, count, BATCH):
-        # 1. Windows and first values, from what stands above half of the peak.
+        # 1. Windows and first values, from what stands above half of the peak; lines near by are as wide as the last.
+        reach = min(reach, max(NEAR, wing + 1))
         while True:
-            _gather(pixels, dark, layout, place, start, reach, saturation, y, known, clipped)
+            _gather(pixels, dark, layout, place, start, reach, saturation, y, known, clipped, half, centre)
             for m in range(BATCH):
                 low_left[m] = 1e9
                 low_right[m] = 1e9
@@ -101,7 +102,9 @@ def fit_lines(
                 for m in range(BATCH):
                     low_right[m] = min(low_right[m], y[k, m] + np.float32(1e9) * (np.float32(1.0) - known[k, m]))
             for m in range(BATCH):
-                b[m] = np.float32(0.5) * (low_left[m] + low_right[m])
+                left, right = min(low_left[m], np.float32(1e8)), min(low_right[m], np.float32(1e8))
+                left, right = (left if left < 1e8 else right), (right if right < 1e8 else left)
+                b[m] = np.float32(0.5) * (left + right)
                 a[m] = max(a[m] - b[m], np.float32(1e-3))
                 p[m] = 0.0
                 s[m] = 0.0
@@ -200,7 +203,7 @@ def fit_lines(
             most = np.float32(0.0)
             for m in range(BATCH):
                 most = max(most, moved[m])
-            if most < 0.004:  # of sigma: the next step would be its square
+            if most < (0.004 if any_clipped else 0.008):  # of sigma: the next step would be its square
                 break
         # 3. What is left over: Fisher information of p, third Hermite term, chi squared.
         for t in range(6):
@@ -260,31 +263,34 @@ def bell(uu: Single) -> Single:
 @compiled
 def _gather(
     pixels: Pixels, dark: Pixels, layout: Layout, place: NDArray[np.int32], start: int, reach: int, saturation: float,
-    y: Lanes, known: Lanes, clipped: NDArray[np.int64],
+    y: Lanes, known: Lanes, clipped: NDArray[np.int64], low: Lanes, high: Lanes,
 ) -> None:  # fmt: skip
     """Pixels of sixteen lines within ``reach`` of their places; ``known`` is 0 where there are none."""
     count, length, line_step, pixel_step = layout
     has_dark = dark.size > 0
-    for k in range(2 * reach + 1):
-        for m in range(BATCH):
-            y[k, m] = 0.0
-            known[k, m] = 0.0
     for m in range(BATCH):
         clipped[m] = 0
+        low[m], high[m] = 1.0, 0.0
         i = start + m
         if i >= count or place[i] < 0:
             continue
         offset = place[i] - reach
-        over = 0
-        for k in range(max(0, -offset), min(2 * reach + 1, length - offset)):
-            at = i * line_step + (offset + k) * pixel_step
-            value = np.float32(pixels[at])
-            over += 1 if value >= saturation else 0
-            if has_dark:
-                value -= np.float32(dark[at])
-            y[k, m] = value
-            known[k, m] = 1.0
-        clipped[m] = over
+        first, last = max(0, -offset), min(2 * reach + 1, length - offset)
+        low[m], high[m] = first, last - 1
+        at = i * line_step + offset * pixel_step
+        if has_dark:
+            for k in range(first, last):
+                y[k, m] = np.float32(pixels[at + k * pixel_step]) - np.float32(dark[at + k * pixel_step])
+        else:
+            for k in range(first, last):
+                y[k, m] = np.float32(pixels[at + k * pixel_step])
+        if pixels[at + reach * pixel_step] >= saturation:
+            for k in range(first, last):
+                clipped[m] += 1 if pixels[at + k * pixel_step] >= saturation else 0
+    for k in range(2 * reach + 1):
+        for m in range(BATCH):
+            inside = np.float32(k) >= low[m] and np.float32(k) <= high[m]
+            known[k, m] = np.float32(1.0) if inside else np.float32(0.0)
 
 
 @compiled

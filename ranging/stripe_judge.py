@@ -95,6 +95,23 @@ def judge(
 
 
 @compiled
+def count_uneven(table: Array, misfit: float, roughness: float) -> tuple[int, int, int]:
+    """Count the lines that are GOOD, those that exceed ``misfit``, and those unlike the line before.
+
+    Unlike: their peaks differ by more than the share ``roughness``.
+    """
+    good, misfits, rough = 0, 0, 0
+    for i in range(table.shape[1]):
+        if table[STATE, i] != GOOD:
+            continue
+        good += 1
+        misfits += 1 if table[MISFIT, i] > misfit else 0
+        if i > 0 and abs(table[PEAK, i] - table[PEAK, i - 1]) > roughness * table[PEAK, i]:
+            rough += 1
+    return good, misfits, rough
+
+
+@compiled
 def stretches(table: Array, reason: Codes, begin: NDArray[np.int32], end: NDArray[np.int32]) -> int:
     """First and last lines of the unbroken stretches of stripe; returns how many there are.
 
@@ -146,7 +163,7 @@ def compare(
         for q in range(blocks):
             centre = first + (2 * q + 1) * (last - first + 1) // (2 * blocks)
             n = 0
-            for i in range(max(first, centre - BLOCK // 2), min(last, centre + BLOCK // 2) + 1):
+            for i in range(max(first, centre - BLOCK // 2), min(last, centre + BLOCK // 2) + 1, 2):
                 if reason[i] == RANGED:
                     block[n] = table[WIDTH, i]
                     n += 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -20,6 +20,13 @@ class Triangulated:
     sigma: Array  # (N,) mm along the ray, from the noise of the stripe: independent from point to point
     sigma_cal: Array  # (N,) mm along the ray, from the calibration: shared
     reason: Codes  # (N,) a Reason
+    view: Array  # (N, 3) unit sighting rays in C, away from the camera
+    moved: Array  # (N, 3) mm/px, of the ray at the point when its pixel moves across the stripe
+    sheet: Array  # (N, 3) unit normals of the sheet of light at the points
+
+    def rows(self, begin: int, end: int) -> Triangulated:
+        """Rows ``begin`` to ``end`` - 1."""
+        return Triangulated(*(getattr(self, f.name)[begin:end] for f in fields(self)))
 
 
 def triangulate(
@@ -59,10 +66,11 @@ def triangulate(
     n = len(pixels)
     points = np.full((n, 3), np.nan)
     sigma, sigma_cal = np.full(n, np.nan), np.full(n, np.nan)
+    view, moved, sheet = (np.full((n, 3), np.nan) for _ in range(3))
     reason = np.full(n, Reason.NO_LIGHT, dtype=np.uint8)
     rows = np.flatnonzero(np.isfinite(pixels).all(axis=1))
     if len(rows) == 0:
-        return Triangulated(points, sigma, sigma_cal, reason)
+        return Triangulated(points, sigma, sigma_cal, reason, view, moved, sheet)
     seen = pixels[rows]
     rays = camera.rays(seen)
     ranged = laser.sheet.intersect(rays, min_incidence=min_incidence)
@@ -77,11 +85,12 @@ def triangulate(
     reason[rows] = code
     kept, found, x = rows[good], seen[good], ranged.points[good]
     normal = laser.sheet.normal_at(x)
-    slope = np.abs(np.einsum("ni,ni->n", normal, rays.direction[good]))
-    moved = np.abs(np.einsum("ni,ni->n", normal, camera.shift(found, x)[:, :, across]))
+    view[kept], sheet[kept] = rays.direction[good], normal
+    moved[kept] = camera.shift(found, x)[:, :, across]
+    slope = np.abs(np.einsum("ni,ni->n", normal, view[kept]))
     points[kept] = x
-    sigma[kept] = moved * sigma_px[kept] / slope
+    sigma[kept] = np.abs(np.einsum("ni,ni->n", normal, moved[kept])) * sigma_px[kept] / slope
     # the ray's own uncertainty lies across depth: only its part along the sheet's normal moves the point
     lateral = camera.sigma_at(found, x) * np.sqrt(np.maximum(1 - normal[:, 2] ** 2, 0))
     sigma_cal[kept] = np.hypot(lateral, laser.sigma_at(x)) / slope
-    return Triangulated(points, sigma, sigma_cal, reason)
+    return Triangulated(points, sigma, sigma_cal, reason, view, moved, sheet)

@@ -12,19 +12,35 @@ from typing import Any
 from scope.version import __version__
 
 _HOMES = {
+    "ArtefactCheck": "scope.artefact",
     "Box": "scope.region",
     "CalibrationError": "calibration.errors",
     "FileError": "calibration.errors",
+    "HeightMap": "scope.heightmap",
     "MeasurementError": "scope.errors",
     "MissingLibraryError": "scope.errors",
     "Plane": "calibration.geometry",
+    "Polygon": "scope.region",
     "Pose": "calibration.geometry",
+    "PoseResult": "scope.pose_answer",
     "Ranged": "calibration.geometry",
     "RangingError": "ranging.errors",
     "Rays": "calibration.geometry",
     "Reason": "calibration.reason",
+    "Rig": "calibration.rig",
+    "Roughness": "scope.roughness",
+    "RoughnessOptions": "scope.roughness",
     "ScanCloud": "scope.cloud",
+    "ScanOptions": "scope.scanning",
     "ScopeError": "calibration.errors",
+    "StripeOptions": "ranging.stripe",
+    "calibrate": "scope.calibrating",
+    "check_artefact": "scope.artefact",
+    "estimate_pose": "scope.pose",
+    "measure_heights": "scope.roughness",
+    "measure_roughness": "scope.roughness",
+    "scan": "scope.scanning",
+    "verify": "scope.verifying",
 }
 
 __all__ = ["__version__", *_HOMES]  # noqa: PLE0604  (the names are strings of the table above)

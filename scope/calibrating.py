@@ -70,6 +70,7 @@ def calibrate(
     FileError, CalibrationError
     """
     plan = read_calibration(Path(path))
+    _check_model(plan, model)
     seen = []
     for k, plane in enumerate(plan.planes):
         seen.append(see_plane(plan, plane))
@@ -78,12 +79,22 @@ def calibrate(
     jig = [s.marks for s in seen if s.plan.c_from_target is not None]
     if jig:
         return _finish_jig(plan, seen, jig, size, model, order)
-    if model not in {"auto", "pinhole"}:
+    return _finish_freehand(plan, seen, size)
+
+
+def _check_model(plan: CalibrationPlan, model: Model) -> None:
+    """Refuse a model that the planes cannot give, before their images are read."""
+    on_jig = any(plane.c_from_target is not None for plane in plan.planes)
+    if on_jig and model == "pinhole":
+        raise CalibrationError(
+            f"{plan.path}: planes with an `origin` are known stand-offs, which the method of planes uses as they are; "
+            "--model pinhole is for freehand views: remove the origins or choose auto, joint or two-plane"
+        )
+    if not on_jig and model not in {"auto", "pinhole"}:
         raise CalibrationError(
             f"{plan.path}: no plane has an `origin`, so model {model!r} has no known stand-offs to stand on; give the planes "
             "their origins or use --model pinhole"
         )
-    return _finish_freehand(plan, seen, size)
 
 
 def _one_size(plan: CalibrationPlan, seen: list[SeenPlane]) -> tuple[int, int]:
@@ -104,23 +115,23 @@ def _finish_jig(
     model: Model,
     order: Order,
 ) -> Calibration:
-    if model == "pinhole":
-        raise CalibrationError(
-            f"{plan.path}: planes with an `origin` are known stand-offs, which the method of planes uses as they are; "
-            "--model pinhole is for freehand views: remove the origins or choose auto, joint or two-plane"
-        )
     try:
         fit = fit_two_plane(jig, size, order=order, model="two-plane" if model == "two-plane" else "joint")
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
     placed = {marks.name: marks for marks in fit.marks}
-    planes = [
-        (s.plan, placed[s.plan.name] if s.plan.name in placed else locate_target(fit.camera, s.marks)) for s in seen
-    ]
+    planes = [(s.plan, placed.get(s.plan.name) or _located(plan, fit.camera, s)) for s in seen]
     lasers, views = find_lasers(plan, fit.camera, planes, curved=None)
     stages = find_stages(plan, fit.camera)
     verdict = judge_jig(plan, seen, fit, lasers)
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, fit, None)
+
+
+def _located(plan: CalibrationPlan, camera: AnyCamera, seen: SeenPlane) -> PlaneMarks:
+    try:
+        return locate_target(camera, seen.marks)
+    except CalibrationError as error:
+        raise CalibrationError(f"{plan.path}: {error}") from error
 
 
 def _finish_freehand(plan: CalibrationPlan, seen: list[SeenPlane], size: tuple[int, int]) -> Calibration:

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, Strict, ValidationError, model_validator
 
 from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array, Pose
 from calibration.targets import Charuco, Chessboard, Polarity, SpotGrid
 from scope.toml_file import (
     MM,
+    Flag,
     Number,
     Positive,
     Section,
@@ -26,6 +27,7 @@ from scope.toml_file import (
     read_toml,
 )
 
+_LEAST_MARKS = 4  # from which a plane follows
 _MOST_MARKS = 100_000
 
 
@@ -37,8 +39,8 @@ def _list(value: Any) -> Any:
     return [value] if isinstance(value, str) else value
 
 
-Index = Annotated[int, Field(ge=0, le=1000)]
-Count = Annotated[int, Field(ge=2, le=1000)]
+Index = Annotated[int, Strict(), Field(ge=0, le=1000)]
+Count = Annotated[int, Strict(), Field(ge=2, le=1000)]
 Along = Literal["auto", "rows", "columns"]
 Channel = Literal["auto", "red", "green", "blue", "gray"]
 Images = Annotated[list[str], BeforeValidator(_list), Field(min_length=1)]
@@ -58,7 +60,7 @@ class TargetSection(Section):
     fiducial_diameter: Positive | None = None
     dictionary: str = "DICT_5X5_100"
     marker: Positive | None = None
-    legacy: bool = False
+    legacy: Flag = False
 
     @model_validator(mode="after")
     def _complete(self) -> TargetSection:
@@ -112,7 +114,7 @@ class PlaneSection(Section):
     laser: ByLaser | None = None
     background: ByLaser | None = None
     points: str | None = None
-    refine: bool = True
+    refine: Flag = True
     turned: Literal[0, 90, 180, 270] = 0
 
 
@@ -141,6 +143,7 @@ class CalibrationSection(Section):
 class ListedMarks:
     """Marks listed one by one for one plane."""
 
+    path: Path
     points: Array  # (n, 3) mm, target frame
     pixels: Array  # (n, 2) px, about where each is seen
     refine: bool  # whether the centroid nearest to the pixel is measured
@@ -197,6 +200,7 @@ class CalibrationPlan:
         found = [self.path]
         for plane in self.planes:
             found += plane.images
+            found += [] if plane.listed is None else [plane.listed.path]
             for group in (*plane.lasers.values(), *plane.backgrounds.values()):
                 found += group
         for stage in self.stages:
@@ -308,10 +312,14 @@ def _images(path: Path, patterns: list[str], key: str) -> tuple[Path, ...]:
 def _listed(path: Path, refine: bool, mm: float) -> ListedMarks:
     columns = read_csv(path, ("x", "y", "z", "u", "v"))
     values = {name: numbers(path, name, texts) for name, texts in columns.items()}
+    if len(values["x"]) < _LEAST_MARKS:
+        raise FileError(
+            f"{path}: {len(values['x'])} marks; {_LEAST_MARKS} or more are needed for a plane: list more of them"
+        )
     if len(values["x"]) > _MOST_MARKS:
         raise FileError(f"{path}: {len(values['x'])} marks; at most {_MOST_MARKS} are read: is it the right file?")
     points = np.stack([values["x"], values["y"], values["z"]], axis=1) * mm
-    return ListedMarks(points, np.stack([values["u"], values["v"]], axis=1), refine)
+    return ListedMarks(path, points, np.stack([values["u"], values["v"]], axis=1), refine)
 
 
 def _stage(path: Path, section: StageSection, mm: float) -> StagePlan:

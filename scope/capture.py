@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, Strict, model_validator
 
 from calibration.errors import FileError
 from calibration.geometry import Array, Pose
@@ -16,6 +16,7 @@ from ranging.motion import Fixed, Linear, Motion, Poses, Positions, Turntable
 from scope.toml_file import MM, Number, Section, Units, Vector, matching, numbers, read_csv, read_toml
 
 Channel = Literal["auto", "red", "green", "blue", "gray"]
+_MOST_NUMBERS = 10_000_000  # between the first and the last frame
 _MATRIX = tuple(f"m{i}{j}" for i in range(4) for j in range(4))
 
 
@@ -78,8 +79,8 @@ class CaptureSection(Section):
     camera_id: str = ""
     images: str | None = None
     video: str | None = None
-    camera: Annotated[int, Field(ge=0, le=63)] | None = None
-    frames: Annotated[int, Field(ge=1)] | None = None
+    camera: Annotated[int, Strict(), Field(ge=0, le=63)] | None = None
+    frames: Annotated[int, Strict(), Field(ge=1)] | None = None
     background: str | None = None
     background_mode: Literal["mean", "paired", "alternate"] | None = None
     channel: Channel = "auto"
@@ -94,6 +95,10 @@ class CaptureSection(Section):
             raise ValueError(f"found {' and '.join(given) or 'none'} of images, video, camera; exactly one is needed")
         if self.frames is not None and self.camera is None:
             raise ValueError("frames is for a live camera; files say themselves how many they are")
+        if self.lasers is not None and not 0 < len(set(self.lasers)) == len(self.lasers):
+            raise ValueError(
+                f"lasers names {self.lasers or 'none'}; name one or more, each once, or leave it out for all"
+            )
         if self.background_mode == "paired" and (self.background is None or self.images is None):
             raise ValueError('background_mode = "paired" needs images and background, one for each frame')
         if self.background_mode == "alternate" and self.background is not None:
@@ -127,6 +132,7 @@ class Capture:
     sequence: Literal["together", "cycle"]
     motion: Motion | StageUse
     numbers: tuple[int, ...] | None  # frame number of each image where they come from the file names
+    by_step: bool = False  # only the count of frames says how far the object has moved
 
 
 def read_capture(path: Path) -> Capture:
@@ -156,7 +162,7 @@ def read_capture(path: Path) -> Capture:
     lasers = None if raw.lasers is None else tuple(raw.lasers)
     return Capture(
         path, raw.camera_id, images, video, raw.camera, raw.frames, background, mode, raw.channel, lasers, raw.sequence,
-        motion, frame_numbers,
+        motion, frame_numbers, raw.motion.step is not None,
     )  # fmt: skip
 
 
@@ -172,7 +178,12 @@ def _frame_numbers(path: Path, raw: CaptureSection, images: tuple[Path, ...]) ->
         values = tuple(int(m.group(1)) for m in found if m is not None)
         if len(set(values)) < len(values):
             raise FileError(f'{path}: index = "filename" and two images have the same number; rename one')
-        return tuple(v - min(values) for v in values) if raw.motion.step is not None else values
+        if max(values) - min(values) > _MOST_NUMBERS:
+            raise FileError(
+                f'{path}: index = "filename" and the numbers run from {min(values)} to {max(values)}; frames are counted, '
+                f"{_MOST_NUMBERS} at most: rename the images or list `positions`"
+            )
+        return tuple(v - min(values) for v in values) if raw.motion.step is not None else None
     if raw.motion.step is None or any(m is None for m in found):
         return None
     values = tuple(int(m.group(1)) for m in found if m is not None)

@@ -17,11 +17,13 @@ from calibration.geometry import Array, Plane, Pose
 from scope import simulation
 from scope.calibrating import Calibration, calibrate
 from scope.calibration_report import calibration_page
+from scope.errors import MissingLibraryError
 from scope.page import Page
 from scope.pictures import grey_blocks, with_marks, with_stripe
 from scope.region import Box
 from scope.scan_report import add_views, scan_page
-from scope.scanning import Scan, run_scan
+from scope.scanning import run_scan
+from scope.tally import Scan
 
 _STEPS = 5
 
@@ -84,8 +86,14 @@ def run_demo(
     say("comparing with the truth")
     truth = json.loads((out / "session" / "truth" / "truth.json").read_text(encoding="utf-8"))
     deviations = [*_of_calibration(calibration, truth, out), *_of_scan(found, truth, out)]
+    skipped = ""
+    try:
+        deviations += _pose(found, truth, out)
+    except MissingLibraryError as error:
+        skipped = f"no pose: {error}"
+        say(skipped)
     on_step(4, _STEPS)
-    write_text(out / "demo.html", _page(calibration, found, deviations))
+    write_text(out / "demo.html", _page(calibration, found, deviations, skipped))
     on_step(5, _STEPS)
     return {
         "deviations": [
@@ -94,7 +102,8 @@ def run_demo(
         ],
         "calibration": calibration.result,
         "points": len(found.cloud),
-        "files": [str(out / name) for name in ("demo.html", "calibration.html", "scan.html", "cloud.ply", "rig.json")],
+        "skipped": skipped,
+        "files": [str(p) for p in sorted(out.iterdir(), key=lambda p: p.name != "demo.html") if p.is_file()],
         "seconds": round(time.perf_counter() - started, 1),
     }
 
@@ -156,6 +165,8 @@ def _of_scan(found: Scan, truth: dict[str, Any], out: Path) -> list[Deviation]:
                 deviations += _sphere(points, pose.translation, float(item["radius"]))
             case "steps":
                 deviations += _steps(points, pose, item)
+            case "rough":
+                deviations.append(_roughness(found, pose, item, out))
     return deviations
 
 
@@ -197,7 +208,72 @@ def _steps(points: Array, pose: Pose, item: dict[str, Any]) -> list[Deviation]:
     return deviations
 
 
-def _page(calibration: Calibration, found: Scan, deviations: list[Deviation]) -> str:
+def _roughness(found: Scan, pose: Pose, item: dict[str, Any], out: Path) -> Deviation:
+    """Sq of the coupon, noise removed, beside that of its true heights on the same patch; writes roughness.html."""
+    from scope.roughness import measure_roughness
+    from scope.roughness_report import roughness_page
+
+    margin = 3.0
+    length, width = item["size"]
+    corners = pose.apply(np.array([[margin, margin, 0.0], [length - margin, width - margin, 0.0]]))
+    (x0, y0, _), (x1, y1, _) = np.sort(corners, axis=0)
+    patch = measure_roughness(found.cloud, region=Box(x=(x0, x1), y=(y0, y1)), name="coupon")
+    write_text(out / "roughness.html", roughness_page([patch], "cloud.ply"))
+    heights = np.load(out / "session" / "truth" / item["heights"], allow_pickle=False)
+    edge = round(margin / item["spacing"])
+    inside = heights[edge:-edge, edge:-edge]
+    rows, columns = np.mgrid[0 : inside.shape[0], 0 : inside.shape[1]]
+    plane = np.column_stack([rows.ravel(), columns.ravel(), np.ones(inside.size)])
+    rest = inside.ravel() - plane @ np.linalg.lstsq(plane, inside.ravel(), rcond=None)[0]
+    sq = patch.areal["Sq"]
+    note = f"+- {sq.uncertainty:.4f} (k = 2)" if sq.uncertainty is not None else ""
+    return Deviation("rough coupon, Sq", float("nan") if sq.value is None else sq.value, float(rest.std()), "mm", note)
+
+
+def _pose(found: Scan, truth: dict[str, Any], out: Path) -> list[Deviation]:
+    """Pose of the angle bracket beside the true one; writes part.stl and pose.html.
+
+    ``MissingLibraryError`` where Open3D is not to be had.
+    """
+    from scope.locating import place, pose_html
+    from scope.optional import import_open3d
+    from scope.pose import estimate_pose
+
+    import_open3d()
+    foot = next(item for item in truth["object"] if item["solid"] == "box")
+    true = Pose.from_matrix(foot["cloud_from_model"]) @ Pose(np.eye(3), np.array([0.0, 0.0, -foot["size"][2] / 2]))
+    corners = true.apply(_bracket(out / "part.stl"))
+    low, high = corners.min(axis=0) - 2.0, corners.max(axis=0) + np.array([2.0, 2.0, -0.7])
+    region = Box(x=(low[0], high[0]), y=(low[1], high[1]), z=(low[2], high[2]))
+    answer = estimate_pose(found.cloud, out / "part.stl", region=region)
+    write_text(out / "pose.html", pose_html(found.cloud, place(found.cloud, answer, "last", None)))
+    if answer.cloud_from_model is None:
+        return [Deviation("pose of the bracket: none", float("nan"), 0.0, "mm", answer.why)]
+    gap = true.inverse @ answer.cloud_from_model
+    turn = float(np.degrees(np.arccos(np.clip((np.trace(gap.rotation) - 1) / 2, -1, 1))))
+    return [
+        Deviation("pose of the bracket, position", float(np.linalg.norm(gap.translation)), 0.0, "mm", "distance"),
+        Deviation("pose of the bracket, orientation", turn, 0.0, "deg"),
+    ]
+
+
+def _bracket(path: Path) -> Array:
+    """Write the mesh of the two blocks of the design, one closed shell standing on z = 0, and return its vertices."""
+    import trimesh
+
+    outline = np.array([(-17, 0), (17, 0), (17, 6), (-9, 6), (-9, 16), (-17, 16)], dtype=np.float64)  # x, z
+    n = len(outline)
+    vertices = np.concatenate([np.insert(outline, 1, y, axis=1) for y in (-13.0, 13.0)])
+    cap = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
+    faces = [*cap, *((c + n, b + n, a + n) for a, b, c in cap)]
+    for k in range(n):
+        after = (k + 1) % n
+        faces += [(after, k, k + n), (after, k + n, after + n)]
+    trimesh.Trimesh(vertices, faces).export(path)
+    return vertices
+
+
+def _page(calibration: Calibration, found: Scan, deviations: list[Deviation], skipped: str) -> str:
     page = Page("SCOPE demo: a simulated rig, measured, beside the truth")
     page.verdict("good" if calibration.result["passed"] else "bad", f"Calibration: {calibration.result['why']}.")
     page.heading("Deviations from the truth")
@@ -205,6 +281,8 @@ def _page(calibration: Calibration, found: Scan, deviations: list[Deviation]) ->
         ("result", "found", "true", "deviation"),
         [[d.what, f"{d.found:.4f}", f"{d.true:.4f}", f"{d.error:+.4f} {d.unit}"] for d in deviations],
     )
+    if skipped:
+        page.verdict("warn", skipped)
     page.heading("The cloud")
     page.cloud(
         found.cloud.points, found.cloud.points[:, 2], "coloured by z; drag to turn, wheel to zoom, shift-drag to move"
@@ -226,5 +304,5 @@ def _page(calibration: Calibration, found: Scan, deviations: list[Deviation]) ->
         page.image(grey_blocks(blocks, enlarge=2), f"fit error, up to {length.max():.3f} px", width=430)
     view = calibration.views[0]
     page.image(with_stripe(view.image, view.pixels), f"stripe on {view.plane}", width=430)
-    page.text("More: calibration.html and scan.html beside this page.")
+    page.text("More, beside this page: calibration.html, scan.html, roughness.html, pose.html.")
     return page.html()

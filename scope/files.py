@@ -29,8 +29,21 @@ SENSOR = np.dtype(
 )  # fmt: skip
 
 
+_LIBRARIES = {".las": "laspy", ".e57": "pye57"}
+
+
+def require_format(path: Path) -> None:
+    """Refuse a name whose ending no writer knows, or whose writer is not installed, before any work is done for it."""
+    ending = path.suffix.lower()
+    if ending in _LIBRARIES:
+        _optional(_LIBRARIES[ending], path)
+    elif ending not in {".ply", ".pcd", ".xyz", ".stl"}:
+        raise FileError(f"{path}: ending {ending!r} is not known; use .ply, .pcd, .xyz, .las, .e57 or .stl")
+
+
 def write_cloud(path: Path, cloud: ScanCloud) -> None:
     """Write a cloud in the format that the name's ending asks for: ply, pcd, xyz, las, e57 or stl."""
+    require_format(path)
     writers = {".ply": write_ply, ".pcd": _write_pcd, ".xyz": _write_xyz, ".stl": _write_stl}
     ending = path.suffix.lower()
     if ending in writers:
@@ -38,10 +51,8 @@ def write_cloud(path: Path, cloud: ScanCloud) -> None:
             writers[ending](stream, cloud)
     elif ending == ".las":
         _write_las(path, cloud)
-    elif ending == ".e57":
-        _write_e57(path, cloud)
     else:
-        raise FileError(f"{path}: ending {ending!r} is not known; use .ply, .pcd, .xyz, .las, .e57 or .stl")
+        _write_e57(path, cloud)
 
 
 def read_cloud(path: Path) -> ScanCloud:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -32,8 +32,8 @@ class LaserView:
 class _Shot:
     plane: PlanePlan
     marks: PlaneMarks
-    image: Image  # as stored
-    background: Image | None
+    images: tuple[Image, ...]  # repeats, as stored
+    background: Image | None  # mean
 
 
 def find_lasers(
@@ -60,7 +60,8 @@ def find_lasers(
 
 
 def _shot(plane: PlanePlan, marks: PlaneMarks, laser: str, size: tuple[int, int]) -> _Shot:
-    image = mean_image(read_alike(plane.lasers[laser], f"plane {plane.name}, laser {laser}"))
+    images = read_alike(plane.lasers[laser], f"plane {plane.name}, laser {laser}")
+    image = images[0]
     dark = None
     if laser in plane.backgrounds:
         dark = mean_image(read_alike(plane.backgrounds[laser], f"plane {plane.name}, background"))
@@ -75,30 +76,30 @@ def _shot(plane: PlanePlan, marks: PlaneMarks, laser: str, size: tuple[int, int]
             f"{plane.backgrounds[laser][0]}: {shape_text(dark)}, the laser image has {shape_text(image)}; take both with the "
             "same settings"
         )
-    return _Shot(plane, marks, image, dark)
+    return _Shot(plane, marks, tuple(images), dark)
 
 
 def _fit(
     plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_Shot], *, curved: bool | None
 ) -> tuple[Laser, list[LaserView]]:
     has_dark = all(shot.background is not None for shot in shots)
-    channel = choose_channel([shot.image for shot in shots], laser.channel, laser_off=has_dark)
-    grays = [to_gray(shot.image, channel) for shot in shots]
+    channel = choose_channel([shot.images[0] for shot in shots], laser.channel, laser_off=has_dark)
+    grays = [[to_gray(image, channel) for image in shot.images] for shot in shots]
     darks = [None if shot.background is None else to_gray(shot.background, channel) for shot in shots]
-    along = _along(grays, darks) if laser.along == "auto" else laser.along
+    along = _along([repeats[0] for repeats in grays], darks) if laser.along == "auto" else laser.along
     stripes, views = [], []
-    for shot, image, dark in zip(shots, grays, darks, strict=True):
-        stripe = extract(image, along=along, background=dark)
+    for shot, repeats, dark in zip(shots, grays, darks, strict=True):
+        stripe, sigma = _averaged([extract(image, along=along, background=dark) for image in repeats])
         keep = _on_target(stripe, shot.marks)
         if not keep.any():
+            lit = int(np.isfinite(stripe).all(axis=1).sum())
             raise CalibrationError(
-                f"{plan.path}: plane {shot.plane.name}: laser {laser.name}: no stripe on the target ({int(np.isfinite(stripe.position).sum())} "
-                f"of {len(stripe.position)} lines have light elsewhere); is the laser on in {shot.plane.lasers[laser.name][0].name}?"
+                f"{plan.path}: plane {shot.plane.name}: laser {laser.name}: no stripe on the target ({lit} of {len(stripe)} "
+                f"lines have light elsewhere); is the laser on in {shot.plane.lasers[laser.name][0].name}?"
             )
-        pixels = stripe.pixels[keep]
-        points, sigma = _on_plane(camera, shot.marks, pixels, stripe.sigma[keep], 1 if along == "rows" else 0)
-        stripes.append(StripePoints(shot.plane.name, points, sigma))
-        views.append(LaserView(laser.name, shot.plane.name, image, pixels))
+        points, across = _on_plane(camera, shot.marks, stripe[keep], sigma[keep], 1 if along == "rows" else 0)
+        stripes.append(StripePoints(shot.plane.name, points, across))
+        views.append(LaserView(laser.name, shot.plane.name, repeats[0], stripe[keep]))
     try:
         fit = fit_laser(laser.name, stripes, along=along, channel=channel, origin=laser.origin, curved=curved)
     except CalibrationError as error:
@@ -114,14 +115,27 @@ def _along(images: list[Image], darks: list[Image | None]) -> Along:
     return max(("rows", "columns"), key=votes.count)
 
 
-def _on_target(stripe: Stripe, marks: PlaneMarks) -> Bools:
+def _averaged(repeats: list[Stripe]) -> tuple[Array, Array]:
+    """Pixels (N, 2) of a stripe seen several times, and their sigma (N,): NaN where no repeat has an answer.
+
+    Positions are averaged, not images: a mean of clipped images would be clipped and not know it.
+    """
+    position = np.array([stripe.position for stripe in repeats])
+    weight = np.where(np.isfinite(position), 1.0 / np.array([stripe.sigma for stripe in repeats]) ** 2, 0.0)
+    total = weight.sum(axis=0)
+    mean = np.divide(np.nansum(weight * position, axis=0), total, out=np.full_like(total, np.nan), where=total > 0)
+    sigma = np.divide(1.0, np.sqrt(total), out=np.full_like(total, np.nan), where=total > 0)
+    return replace(repeats[0], position=mean).pixels, sigma
+
+
+def _on_target(pixels: Array, marks: PlaneMarks) -> Bools:
     """Lines whose stripe lies on the part of the plane that the marks surround."""
     hull = cv2.convexHull(marks.pixels.astype(np.float32)).astype(np.float32)
-    keep = np.isfinite(stripe.position)
+    keep = np.asarray(np.isfinite(pixels).all(axis=1))
     for k in np.flatnonzero(keep):
-        u, v = stripe.pixels[k]
+        u, v = pixels[k]
         keep[k] = cv2.pointPolygonTest(hull, (float(u), float(v)), False) >= 0
-    return np.asarray(keep)
+    return keep
 
 
 def _on_plane(camera: Camera, marks: PlaneMarks, pixels: Array, sigma: Array, across: int) -> tuple[Array, Array]:

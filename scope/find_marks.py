@@ -72,7 +72,10 @@ def see_plane(plan: CalibrationPlan, plane: PlanePlan) -> SeenPlane:
         raise CalibrationError(f"{plan.path}: plane {plane.name}: {error}") from error
     points, pose, expected = _positions(plan, plane, found.mark)
     marks = PlaneMarks(plane.name, found.pixels, points, pose, found.mark, found.covariance)
-    marks, shift = _centred(marks, _radii(plan, marks, found))
+    try:
+        marks, shift = _centred(marks, _radii(plan, marks, found))
+    except CalibrationError as error:
+        raise CalibrationError(f"{plan.path}: {error}") from error
     repeat, noise = _repeats(plan, plane, images, found)
     return SeenPlane(
         plane, marks, found.found, expected, found.rejected, _median(found.diameter), _median(found.contrast),
@@ -160,7 +163,13 @@ def _flatten(points: Array, pose: Pose, name: str, plan: CalibrationPlan) -> tup
         return points[:, :2], pose @ lift
     from calibration.geometry import fit_plane
 
-    plane = fit_plane(points)
+    try:
+        plane = fit_plane(points)
+    except ValueError as error:
+        raise CalibrationError(
+            f"{plan.path}: plane {name}: its {len(points)} listed marks lie on one line, from which no plane follows: list "
+            "marks beside it"
+        ) from error
     off = float(np.abs(plane.distance(points)).max())
     if off > 1e-4 * float(np.ptp(points, axis=0).max()):
         raise CalibrationError(

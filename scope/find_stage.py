@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calibration.camera import Camera
-from calibration.errors import CalibrationError
+from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array, Ints
 from calibration.plane_map import PlaneMarks
 from calibration.pose_of_target import locate_target
@@ -29,7 +29,15 @@ def _find(plan: CalibrationPlan, camera: Camera, stage: StagePlan, number: int) 
     for position, image in zip(stage.positions, stage.images, strict=True):
         name = f"stage {number} at {position:g}"
         view = see_plane(plan, PlanePlan(name, (image,), None, {}, {}, None, None))
-        views.append(locate_target(camera, view.marks))
+        if view.size != camera.size:
+            raise FileError(
+                f"{image}: stage {number}: {view.size[0]} x {view.size[1]} px; the planes were seen at {camera.size[0]} x "
+                f"{camera.size[1]} px: take both with the same camera settings"
+            )
+        try:
+            views.append(locate_target(camera, view.marks))
+        except CalibrationError as error:
+            raise CalibrationError(f"{plan.path}: {error}") from error
     common = np.array(sorted(set.intersection(*(set(view.mark.tolist()) for view in views))))
     if len(common) < 6:
         raise CalibrationError(

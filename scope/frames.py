@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 from calibration.errors import FileError
@@ -27,6 +26,7 @@ class Frame:
     name: str
     image: Image
     background: Image | None = None
+    at: float | None = None  # s, as the container of a video tells
 
 
 class Source(Protocol):
@@ -35,6 +35,20 @@ class Source(Protocol):
     @property
     def count(self) -> int | None:
         """Frames to come in all; None: unknown before the end."""
+        ...
+
+    @property
+    def trouble(self) -> str:
+        """Why fewer or other frames came than were announced; empty where all is well."""
+        ...
+
+    @property
+    def endless(self) -> bool:
+        """Whether only the user ends it, so that an interrupt is no loss."""
+        ...
+
+    def sample(self, count: int) -> list[Frame]:
+        """A few frames, to choose channel and noise by; they come again from `loaders`."""
         ...
 
     def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
@@ -52,6 +66,20 @@ class Folder:
     def count(self) -> int:
         """Frames, each of one image or of a pair."""
         return len(self.capture.images) // (2 if self.capture.background_mode == "alternate" else 1)
+
+    @property
+    def trouble(self) -> str:
+        """Empty: a file that cannot be read is an error of its own."""
+        return ""
+
+    @property
+    def endless(self) -> bool:
+        """False: the files are counted."""
+        return False
+
+    def sample(self, count: int) -> list[Frame]:
+        """Frames spread evenly over the folder."""
+        return [self._load(k) for k in range(0, self.count, max(1, self.count // count))[:count]]
 
     def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
         """One loader a frame: files are decoded in the threads that call them."""
@@ -77,7 +105,11 @@ class Stream:
     opened: Any  # cv2.VideoCapture
     name: str
     count: int | None
-    broken: str = ""  # why the stream ended before its announced end
+    trouble: str = ""
+    _ahead: deque[Frame] = field(default_factory=deque)  # frames read before they were asked for
+    _read: int = 0
+    _at: float | None = None  # s, of the last frame
+    _skipped: int = 0  # frames that the timestamps miss
 
     @classmethod
     def open(cls, capture: Capture) -> Stream:
@@ -99,32 +131,65 @@ class Stream:
             )
         return cls(capture, opened, f"camera {capture.camera}", capture.frames)
 
+    @property
+    def endless(self) -> bool:
+        """Whether this is a camera of which no number of frames was asked."""
+        return self.capture.video is None and self.count is None
+
+    def sample(self, count: int) -> list[Frame]:
+        """The first frames: a stream cannot be wound back, so they are kept for `loaders`."""
+        while len(self._ahead) < count and (frame := self._next()) is not None:
+            self._ahead.append(frame)
+        return list(self._ahead)[:count]
+
     def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
         """Loaders of frames that were read here, in order; a stream ends with its last frame."""
-        k = 0
+        given = 0
         try:
-            while self.count is None or k < self.count:
-                frame = self._next(k)
+            while self.count is None or given < self.count:
+                frame = self._ahead.popleft() if self._ahead else self._next()
                 if frame is None:
                     if self.count is not None:
-                        self.broken = f"{self.name} ended after {k} of {self.count} frames"
+                        self.trouble = f"{self.name} ended after {given} of {self.count} frames"
+                    elif self.endless:
+                        self.trouble = f"{self.name} stopped after {given} frames"
                     return
-                if k >= first:
+                if given >= first:
                     yield lambda frame=frame: frame  # type: ignore[misc]
-                k += 1
+                given += 1
         finally:
             self.opened.release()
 
-    def _next(self, k: int) -> Frame | None:
+    def _next(self) -> Frame | None:
+        import cv2
+
         done, image = self.opened.read()
         if not done:
             return None
+        at = float(self.opened.get(cv2.CAP_PROP_POS_MSEC)) * 1e-3 if self.capture.video is not None else None
         dark = None
         if self.capture.background_mode == "alternate":
             done, dark = self.opened.read()
             if not done:
                 return None
-        return Frame(k, f"{self.name} frame {k}", image, dark)
+        k, self._read = self._read, self._read + 1
+        if at is not None:
+            self._compare(k, at)
+        return Frame(k, f"{self.name} frame {k}", image, dark, at)
+
+    def _compare(self, k: int, at: float) -> None:
+        """Notice frames that a recorder dropped: with `step`, every frame after them would be misplaced."""
+        import cv2
+
+        rate = float(self.opened.get(cv2.CAP_PROP_FPS)) / (2 if self.capture.background_mode == "alternate" else 1)
+        missing = round((at - self._at) * rate) - 1 if self._at is not None and 0.1 < rate < 1e5 else 0
+        self._at = at
+        if missing > 0 and self.capture.by_step:
+            self._skipped += missing
+            self.trouble = (
+                f"{self.name}: by its timestamps {self._skipped} frames were dropped before frame {k} and with `step` what "
+                "follows is misplaced; list `positions`"
+            )
 
 
 def open_source(capture: Capture) -> Source:
@@ -155,10 +220,3 @@ def in_order(source: Source, work: Callable[[Frame], T], *, first: int = 0) -> I
         finally:
             for future in waiting:
                 future.cancel()
-
-
-def first_images(capture: Capture, count: int) -> list[Image]:
-    """A few images spread over a folder, to choose a channel by; none of a stream, which cannot be wound back."""
-    images = capture.images[::2] if capture.background_mode == "alternate" else capture.images
-    chosen = images[:: max(1, len(images) // count)][:count]
-    return [read_image(Path(path)) for path in chosen]

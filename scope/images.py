@@ -31,14 +31,14 @@ def read_image(path: Path) -> Image:
         raise FileError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     if size == 0:
         raise FileError(f"{path}: is empty (0 bytes); take the image again")
+    if _truncated(data):  # asked first: decoders print what they miss
+        raise FileError(f"{path}: is truncated ({size} bytes, its end is missing); take or copy it again")
     try:
         image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
     if image is None:
         raise FileError(f"{path}: is no image that can be decoded ({size} bytes; truncated?); take or copy it again")
-    if _truncated(data):
-        raise FileError(f"{path}: is truncated ({size} bytes, its end is missing); take or copy it again")
     if image.size > 4 * _MOST_PIXELS:
         raise FileError(f"{path}: {image.shape[1]} x {image.shape[0]} px; at most {_MOST_PIXELS} pixels are read")
     if image.dtype not in (np.uint8, np.uint16):

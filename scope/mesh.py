@@ -29,13 +29,15 @@ def lattice_lines(cloud: ScanCloud) -> Ints:
 def lattice_index(cloud: ScanCloud, laser: int) -> Ints:
     """Index of the point at (frame, line) of one laser, as (frames, lines), -1 where there is none.
 
-    Frames and lines are counted from the first that has a point; (0, 0) where there is no lattice.
+    Frames and lines are counted from the first that has a point, frames in steps of the laser's own where lasers take
+    turns; (0, 0) where there is no lattice.
     """
     lines = lattice_lines(cloud)
     rows = np.flatnonzero((cloud.laser == laser) & (lines >= 0))
     if len(rows) == 0:
         return np.zeros((0, 0), dtype=np.int64)
     frame, line = cloud.frame[rows] - cloud.frame[rows].min(), lines[rows] - lines[rows].min()
+    frame = frame // max(1, int(np.gcd.reduce(frame)))
     index = np.full((int(frame.max()) + 1, int(line.max()) + 1), -1, dtype=np.int64)
     index[frame, line] = rows
     return index

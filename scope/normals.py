@@ -44,7 +44,7 @@ def _fill(cloud: ScanCloud, index: np.typing.NDArray[np.int64], normals: Array, 
     offsets = [(i, j) for i in range(2 * reach + 1) for j in range(2 * reach + 1) if (i, j) != (reach, reach)]
     count = np.zeros(len(here))
     total, square = np.zeros((len(here), 3)), np.zeros((len(here), 3, 3))
-    limit = 4.0 * reach * _spacing(cloud, index)
+    limit = 4.0 * reach * lattice_spacing(cloud, index)
     for i, j in offsets:
         other = padded[i : i + rows, j : j + columns].ravel()
         both = known & (other >= 0)
@@ -61,8 +61,8 @@ def _fill(cloud: ScanCloud, index: np.typing.NDArray[np.int64], normals: Array, 
     normals[here[enough]] = np.linalg.eigh(spread)[1][:, :, 0]
 
 
-def _spacing(cloud: ScanCloud, index: np.typing.NDArray[np.int64]) -> float:
-    """Larger of the median distances (mm) between neighbours along the stripe and between frames."""
+def lattice_spacing(cloud: ScanCloud, index: np.typing.NDArray[np.int64]) -> float:
+    """Larger of the median distances (mm) between neighbours along the stripe and between frames; 0 where there are none."""
     steps = []
     for a, b in ((index[:, :-1], index[:, 1:]), (index[:-1], index[1:])):
         both = (a >= 0) & (b >= 0)

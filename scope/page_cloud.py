@@ -22,7 +22,7 @@ for (const canvas of document.querySelectorAll("canvas.cloud")) {
   gl.enableVertexAttribArray(p); gl.vertexAttribPointer(p, 3, gl.FLOAT, false, 16, 0);
   gl.enableVertexAttribArray(c); gl.vertexAttribPointer(c, 3, gl.UNSIGNED_BYTE, true, 16, 12);
   const at = name => gl.getUniformLocation(program, name);
-  let yaw = 0.5, pitch = 2.5, distance = 3, x = 0, y = 0;
+  let yaw = 0.5, pitch = 2.5, distance = 2, x = 0, y = 0;
   const draw = () => {
     const ratio = window.devicePixelRatio || 1;
     canvas.width = canvas.clientWidth * ratio; canvas.height = canvas.clientHeight * ratio;

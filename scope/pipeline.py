@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from calibration.atomic import require_folder
 from scope.calibrating import Calibration, calibrate
@@ -18,7 +18,8 @@ from scope.calibration_report import (
 from scope.demo import demo_text, run_demo
 from scope.scan_file import scan_to_file
 from scope.scan_report import scan_page, scan_result, scan_text
-from scope.scanning import Scan, ScanOptions, run_scan, scan
+from scope.scanning import ScanOptions, run_scan, scan, scan_options
+from scope.tally import Scan
 from scope.templates import TEMPLATES, write_template
 from scope.verifying import check_plane, verify
 
@@ -55,19 +56,6 @@ def require_writable(*paths: Path | None) -> None:
     for path in paths:
         if path is not None:
             require_folder(path)
-
-
-def scan_options(
-    *,
-    method: Literal["auto", "centroid", "gaussian", "ridge"] = "auto",
-    normals: bool = False,
-    max_sigma: float | None = None,
-    extrapolate: float = 0.0,
-) -> ScanOptions:
-    """Options of a scan as the command line gives them."""
-    from ranging.stripe import StripeOptions
-
-    return ScanOptions(StripeOptions(method=method), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals)
 
 
 def simulate(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +13,10 @@ from ranging.background import choose_channel, to_gray
 from scope import pictures
 from scope.capture import read_capture
 from scope.images import read_image
+from scope.lasers_agree import Agreement
+from scope.mesh import lattice_index
 from scope.page import Page
-from scope.scanning import Scan
+from scope.tally import Scan
 
 _WHY = {
     "no_light": "no peak clear of the noise: nothing there, too dark, or in shadow",
@@ -32,29 +36,46 @@ def scan_result(found: Scan) -> dict[str, Any]:
     """What --json gives."""
     return {
         "frames": found.frames,
-        "points": len(found.cloud),
+        "points": found.points,
         "empty_frames": found.empty_frames,
         "rejected": dict(found.rejected),
+        "filtered": dict(found.filtered),
+        "lasers_agree": [asdict(pair) for pair in found.agreement],
         "seconds": round(found.seconds, 3),
         "sigma_mm": found.sigma_mm,
-        "sigma_cal_mm": float(np.median(found.cloud.sigma_cal)) if len(found.cloud) else None,
-        "complete": found.cloud.complete,
-        "verified": found.cloud.verified,
+        "sigma_cal_mm": found.sigma_cal_mm,
+        "complete": not found.why_incomplete,
+        "verified": found.verified,
         "why_incomplete": found.why_incomplete,
     }
 
 
 def scan_text(found: Scan) -> str:
     """What a person reads on the terminal."""
-    result = scan_result(found)
-    rejected = (
-        ", ".join(f"{count} {reason}" for reason, count in sorted(found.rejected.items(), key=lambda kv: -kv[1]))
-        or "none"
-    )
+    rejected = ", ".join(f"{count} {reason}" for reason, count in _most_first(found.rejected)) or "none"
+    sigma = f"median sigma {found.sigma_mm:.4f} mm, of the calibration {found.sigma_cal_mm:.4f} mm"
+    lines = [
+        f"{found.points} points from {found.frames} frames in {found.seconds:.1f} s; {sigma}",
+        f"lines without a point: {rejected}",
+    ]
+    if found.empty_frames:
+        lines.append(f"frames without any point: {found.empty_frames}")
+    if found.filtered:
+        lines.append(f"removed by filters: {', '.join(f'{count} {name}' for name, count in found.filtered.items())}")
+    lines += [f"lasers {pair.first} and {pair.second}: {_agreement_text(pair)}" for pair in found.agreement]
+    return "\n".join(lines)
+
+
+def _most_first(counts: Mapping[str, int]) -> list[tuple[str, int]]:
+    return sorted(counts.items(), key=lambda item: -item[1])
+
+
+def _agreement_text(pair: Agreement) -> str:
+    if pair.cells == 0:
+        return "no surface was seen by both"
     return (
-        f"{result['points']} points from {result['frames']} frames in {found.seconds:.1f} s; median sigma {found.sigma_mm:.4f} mm, of "
-        f"the calibration {result['sigma_cal_mm'] or float('nan'):.4f} mm\nlines without a point: {rejected}"
-        + (f"\nframes without any point: {found.empty_frames}" if found.empty_frames else "")
+        f"apart by {pair.mean_mm:+.4f} mm in the mean, {pair.rms_mm:.4f} mm rms along the normal ({pair.cells} cells; "
+        f"{pair.sigma_mm:.4f} mm expected; {100 * pair.beyond:.1f} % of the cells more than 3 sigma apart)"
     )
 
 
@@ -74,10 +95,21 @@ def scan_page(found: Scan, capture: str | Path) -> str:
     )
     add_views(page, found)
     page.heading("Lines of the images without a point, and why")
-    rows = [
-        [key, str(count), _WHY.get(key, "")] for key, count in sorted(found.rejected.items(), key=lambda kv: -kv[1])
-    ]
-    page.table(("reason", "lines", "what it means"), rows)
+    lines = max(1, sum(found.rejected.values()) + found.points + sum(found.filtered.values()))
+    page.table(
+        ("reason", "lines", "of all", "what it means"),
+        [
+            [key, str(count), f"{100 * count / lines:.1f} %", _WHY.get(key, "")]
+            for key, count in _most_first(found.rejected)
+        ],
+    )
+    if found.filtered:
+        page.heading("Points that filters removed")
+        page.table(("filter", "points"), [[name, str(count)] for name, count in found.filtered.items()])
+    if found.agreement:
+        page.heading("Where two lasers see one surface")
+        for pair in found.agreement:
+            page.text(f"{pair.first} and {pair.second}: {_agreement_text(pair)}.")
     page.heading("Uncertainty")
     quantiles = [10, 50, 90, 99]
     page.table(("mm along the ray", *(f"{q} %" for q in quantiles)), [
@@ -89,27 +121,29 @@ def scan_page(found: Scan, capture: str | Path) -> str:
 
 
 def add_views(page: Page, found: Scan) -> None:
-    """Pictures of the cloud from above and from the side, the camera's side up, and of its sigma."""
+    """Pictures of the cloud from above and from the side, and the map of its sigma in the order of the scan."""
     x, y, z = np.eye(3)
     cloud = found.cloud
-    height = np.median(cloud.points[:, 2])
-    above = cloud.sensors is not None and float(np.median(cloud.sensors.centre[:, 2])) > height
-    down = -z if above else z
+    if len(cloud) == 0:
+        return
+    page.image(pictures.cloud_from(cloud.points, cloud.points[:, 2], x, y), "seen along z, coloured by z", width=430)
     page.image(
-        pictures.cloud_from(cloud.points, cloud.points[:, 2], x, -y if above else y),
-        "from the camera's side, coloured by z",
+        pictures.cloud_from(cloud.points, cloud.intensity.astype(np.float64), x, z),
+        "seen along y (z down), coloured by brightness",
         width=430,
     )
-    page.image(
-        pictures.cloud_from(cloud.points, cloud.intensity.astype(np.float64), x, down),
-        "from the side, the camera above, coloured by brightness",
-        width=430,
-    )
-    page.image(
-        pictures.cloud_from(cloud.points, cloud.sigma.astype(np.float64), x, -y if above else y),
-        "sigma: dark is certain, light is not",
-        width=430,
-    )
+    for laser, name in enumerate(cloud.laser_names):
+        index = lattice_index(cloud, laser)
+        if index.size == 0:
+            continue
+        sigma = np.where(index >= 0, cloud.sigma[index].astype(np.float64), np.nan)
+        low, high = np.nanpercentile(sigma, [2, 98])
+        page.image(
+            pictures.heat(sigma, enlarge=max(1, 430 // max(sigma.shape)), low=low, high=high),
+            f"sigma of {name}: one row a frame, one column a line of the image; dark {low:.4f} mm, light {high:.4f} mm, grey: no "
+            "point",
+            width=430,
+        )
 
 
 def _add_hard_frames(page: Page, found: Scan, capture: Path) -> None:
@@ -118,12 +152,20 @@ def _add_hard_frames(page: Page, found: Scan, capture: Path) -> None:
     images = plan.images[::2] if plan.background_mode == "alternate" else plan.images
     if not images:
         return
+    cloud = found.cloud
     numbers = np.arange(len(images)) if plan.numbers is None else np.array(plan.numbers)
-    count = np.array([int((found.cloud.frame == n).sum()) for n in numbers])
-    page.heading("Hardest frames (fewest points), and a typical one")
-    chosen = [*np.argsort(count, kind="stable")[:3].tolist(), int(np.argsort(count)[len(count) // 2])]
+    count = np.bincount(cloud.frame, minlength=int(numbers.max()) + 1)[numbers]
+    page.heading("Hardest frames (fewest points, least certain), and a typical one")
+    order = np.argsort(count[: found.frames], kind="stable")
+    doubt = np.bincount(cloud.frame, cloud.sigma, int(numbers.max()) + 1)[numbers] / np.maximum(count, 1)
+    chosen = [
+        *order[:2].tolist(),
+        *np.argsort(-doubt[: found.frames], kind="stable")[:2].tolist(),
+        int(order[len(order) // 2]),
+    ]
     for k in dict.fromkeys(chosen):
         image = read_image(images[k])
         shown = to_gray(image, choose_channel([image], plan.channel))
-        pixels = found.cloud.pixels[found.cloud.frame == numbers[k]].astype(np.float64)
-        page.image(pictures.with_stripe(shown, pixels), f"{images[k].name}: {count[k]} points", width=430)
+        pixels = cloud.pixels[cloud.frame == numbers[k]].astype(np.float64)
+        caption = f"{images[k].name}: {count[k]} points, mean sigma {doubt[k]:.4f} mm"
+        page.image(pictures.with_stripe(shown, pixels), caption, width=430)

@@ -12,21 +12,29 @@ import numpy as np
 
 from calibration.camera import centre_of
 from calibration.errors import FileError, ScopeError
-from calibration.geometry import Array, Codes
+from calibration.geometry import Array
 from calibration.laser import Laser
 from calibration.reason import Reason
 from calibration.rig import Rig
 from ranging.background import Channel, choose_channel, mean_image, to_gray
+from ranging.edges import refine
 from ranging.errors import RangingError
-from ranging.motion import Linear, Motion, Turntable
-from ranging.stripe import Stripe, StripeOptions, extract
+from ranging.lattice import CONTEXT, Lattice, Seen
+from ranging.motion import Fixed, Linear, Motion, Turntable
+from ranging.stripe import Method, Stripe, StripeOptions, extract
 from ranging.triangulation import triangulate
 from scope.capture import Capture, StageUse, read_capture
 from scope.cloud import ScanCloud, Sensors, quaternion_from_rotation
-from scope.frames import Frame, Source, Stream, first_images, in_order, open_source
+from scope.filters import FilterOptions, filtered
+from scope.frames import Frame, Source, in_order, open_source
 from scope.images import Image, read_alike, shape_text
+from scope.lasers_agree import Agreement, agreements
+from scope.tally import Chunk, Scan, Tally
 
 CHUNK = 16  # frames ranged at once
+FIRST = 2  # the same, of the first, so that points are seen at once
+CROSSING = 4.0  # widths (one sigma) of both stripes between their middles, within which they disturb each other
+SAMPLE = 3  # frames that tell the channel and the noise of the camera
 Tick = Callable[[int, int], None]
 
 
@@ -38,34 +46,24 @@ class ScanOptions:
     extrapolate: float = 0.0  # mm outside the calibrated volume that are still ranged
     max_sigma: float | None = None  # mm; points less certain than this are rejected
     normals: bool = False
+    filters: FilterOptions = field(default_factory=FilterOptions)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chunk:
-    """What a run of frames gave."""
-
-    first: int  # position of the first frame in the capture
-    frames: int
-    cloud: ScanCloud  # without sensors
-    rejected: Counter[str]
-    empty: int  # frames without a single point
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Scan:
-    """A cloud and how it came about."""
-
-    cloud: ScanCloud
-    frames: int
-    empty_frames: int
-    rejected: Mapping[str, int]  # reason: image lines without a point
-    seconds: float
-    why_incomplete: str  # empty where complete
-
-    @property
-    def sigma_mm(self) -> float:
-        """Median sigma of the points, mm; NaN for an empty cloud."""
-        return float(np.median(self.cloud.sigma)) if len(self.cloud) else float("nan")
+def scan_options(
+    *,
+    method: Method = "auto",
+    normals: bool = False,
+    max_sigma: float | None = None,
+    extrapolate: float = 0.0,
+    isolated: int | None = None,
+    max_incidence: float | None = None,
+    voxel: float | None = None,
+) -> ScanOptions:
+    """Options of a scan as the command line gives them."""
+    return ScanOptions(
+        StripeOptions(method=method), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals,
+        filters=FilterOptions(isolated=isolated, max_incidence=max_incidence, voxel=voxel),
+    )  # fmt: skip
 
 
 def _no_tick(_done: int, _total: int) -> None:
@@ -112,71 +110,124 @@ def run_scan(
         Files that do not fit the rig, or no stripe in any frame.
     """
     started = time.perf_counter()
-    options = options or ScanOptions()
-    rig = rig if isinstance(rig, Rig) else Rig.load(rig)
-    plan = _Plan.of(read_capture(Path(capture)), rig, options)
-    chunks = list(done or [])
-    why = ""
+    plan = Plan.of(
+        read_capture(Path(capture)), rig if isinstance(rig, Rig) else Rig.load(rig), options or ScanOptions()
+    )
+    tally, parts = Tally(), []
+    for chunk in done or []:
+        tally.add(chunk)
+        parts.append(chunk.cloud)
     try:
-        for chunk in plan.chunks(sum(chunk.frames for chunk in chunks), on_frame):
-            chunks.append(chunk)
+        for chunk in plan.chunks(tally.frames, on_frame):
+            tally.add(chunk)
+            parts.append(chunk.cloud)
             if on_chunk is not None:
                 on_chunk(chunk)
+        why = plan.source.trouble
     except KeyboardInterrupt:
-        why = f"interrupted after {sum(chunk.frames for chunk in chunks)} frames"
-    if isinstance(plan.source, Stream) and plan.source.broken:
-        why = plan.source.broken
-    return plan.finish(chunks, why, time.perf_counter() - started)
+        why = plan.interrupted(tally)
+    return plan.finish(joined(parts), tally, why, time.perf_counter() - started)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Plan:
+class _Sight:
+    """One frame's points, by the index of the laser."""
+
+    number: int
+    seen: dict[int, Seen] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """How a capture is ranged with a rig."""
+
     capture: Capture
     rig: Rig
     options: ScanOptions
     lasers: tuple[Laser, ...]
     channels: tuple[Channel, ...]
     darks: tuple[Image | None, ...]  # mean background of each laser's channel
+    stripe: StripeOptions  # with the noise of the camera, where some frames have told it
     motion: Motion
     source: Source
     centre: Array  # (3,) camera centre in C
 
     @classmethod
-    def of(cls, capture: Capture, rig: Rig, options: ScanOptions) -> _Plan:
+    def of(cls, capture: Capture, rig: Rig, options: ScanOptions) -> Plan:
+        """Plan of a capture; ``FileError`` where its files do not fit the rig, ``RangingError`` for a camera without answer."""
         if capture.camera_id and rig.camera_id and capture.camera_id != rig.camera_id:
             raise FileError(
                 f"{capture.path}: camera_id {capture.camera_id!r}, the rig is of {rig.camera_id!r}; use the rig of this camera"
             )
         lasers = _lasers(capture, rig)
-        sample = first_images(capture, 5)
-        for image in sample:
-            _check_size(image, capture, rig)
+        motion = _motion(capture, rig)
+        source = open_source(capture)
+        frames = source.sample(SAMPLE)
+        sample = [frame.image for frame in frames]
+        for frame in frames:
+            _check_size(frame.image, capture, rig, frame.name)
         has_dark = capture.background_mode != "none"
         channels = tuple(_channel(capture, laser, sample, has_dark) for laser in lasers)
+        if len(lasers) > 1 and capture.sequence == "together":
+            channels = _told_apart(capture, lasers, channels)
         darks: tuple[Image | None, ...] = (None,) * len(lasers)
         if capture.background_mode == "mean":
             images = read_alike(capture.background, "the background")
             _check_size(images[0], capture, rig)
             darks = tuple(mean_image([to_gray(image, channel) for image in images]) for channel in channels)
-        motion = _motion(capture, rig)
         width, height = rig.camera.size
         u, v = np.meshgrid(np.linspace(0.1, 0.9, 9) * width, np.linspace(0.1, 0.9, 9) * height)
         centre = centre_of(rig.camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)))
-        return cls(capture, rig, options, lasers, channels, darks, motion, open_source(capture), centre)
+        # where the object moves, frames are compared with each other: a better judge than a frame's own lines
+        stripe = replace(options.stripe, neighbours=options.stripe.neighbours and isinstance(motion, Fixed))
+        plan = cls(capture, rig, options, lasers, channels, darks, stripe, motion, source, centre)
+        return replace(plan, stripe=plan._with_noise(frames))
+
+    def _with_noise(self, frames: list[Frame]) -> StripeOptions:
+        """Stripe options with the median noise of a few frames: a camera has one, and looking for it in each costs time."""
+        asked = self.stripe
+        known = [stripe.noise for frame in frames for _, stripe in self._extract(frame)[1]]
+        noise = [found for found in known if found is not None]
+        if not noise:
+            return asked
+        gain = 1.0 / float(np.median([1.0 / found.gain_e for found in noise]))
+        read = float(np.median([found.read_noise for found in noise]))
+        return replace(
+            asked, gain_e=asked.gain_e or gain, read_noise=read if asked.read_noise is None else asked.read_noise
+        )
 
     def chunks(self, first: int, on_frame: Tick) -> Iterator[Chunk]:
-        """Ranged runs of frames, in order."""
+        """Ranged runs of frames, in order; what they end with depends on ``CONTEXT`` frames before and after each."""
         total = self.source.count or 0
-        waiting: list[tuple[int, list[tuple[int, Stripe]]]] = []
-        begun = first
-        for number, stripes in in_order(self.source, self._extract, first=first):
-            waiting.append((number, stripes))
-            on_frame(begun + len(waiting), total)
-            if len(waiting) == CHUNK:
-                yield self._range(begun, waiting)
-                begun, waiting = begun + len(waiting), []
-        if waiting:
-            yield self._range(begun, waiting)
+        at = max(0, first - CONTEXT)  # position of the window's first frame
+        fresh: list[tuple[int, list[tuple[int, Stripe]]]] = []
+        window: list[_Sight] = []
+        begun, stopped = first, False
+        try:
+            for found in in_order(self.source, self._extract, first=at):
+                fresh.append(found)
+                done = at + len(window) + len(fresh)
+                if done > first:
+                    on_frame(done, total)
+                end = begun + (CHUNK if begun else FIRST)
+                if done == end + CONTEXT:
+                    window, fresh = window + self._see(fresh), []
+                    yield self._chunk(window, at, begun, end)
+                    begun, old = end, max(0, end - CONTEXT - at)
+                    window, at = window[old:], at + old
+        except KeyboardInterrupt:
+            stopped = True
+        window = window + self._see(fresh)
+        while begun < at + len(window):
+            end = min(begun + (CHUNK if begun else FIRST), at + len(window))
+            yield self._chunk(window, at, begun, end)
+            begun = end
+        if stopped:
+            raise KeyboardInterrupt
+
+    def interrupted(self, tally: Tally) -> str:
+        """Why a scan that the user ended is incomplete; empty for a camera that was to run until then."""
+        return "" if self.source.endless else f"interrupted after {tally.frames} frames"
 
     def _extract(self, frame: Frame) -> tuple[int, list[tuple[int, Stripe]]]:
         """Stripes of one frame, by laser; runs in a thread."""
@@ -190,88 +241,127 @@ class _Plan:
             dark = self.darks[k] if frame.background is None else to_gray(frame.background, self.channels[k])
             along = self.lasers[k].along
             try:
-                stripe = extract(image, along=along, options=self.options.stripe, background=dark)  # type: ignore[arg-type]
+                stripe = extract(image, along=along, options=self.stripe, background=dark)  # type: ignore[arg-type]
             except ScopeError as error:
                 raise RangingError(f"{frame.name}: {error}") from error
             found.append((k, stripe))
-        return frame.number, found
+        return frame.number, _uncrossed(found)
 
-    def _range(self, first: int, frames: list[tuple[int, list[tuple[int, Stripe]]]]) -> Chunk:
+    def _see(self, frames: list[tuple[int, list[tuple[int, Stripe]]]]) -> list[_Sight]:
+        """Triangulate frames, all at once for each laser."""
+        sights = [_Sight(number) for number, _ in frames]
+        for k, laser in enumerate(self.lasers):
+            shown = [
+                (sight, stripe) for sight, (_, all_) in zip(sights, frames, strict=True) for j, stripe in all_ if j == k
+            ]
+            if not shown:
+                continue
+            pixels = np.concatenate([stripe.pixels for _, stripe in shown])
+            sigma_px = np.concatenate([stripe.sigma for _, stripe in shown])
+            across = 1 if laser.along == "rows" else 0
+            found = triangulate(self.rig.camera, laser, pixels, sigma_px, across, extrapolate=self.options.extrapolate)
+            begin = 0
+            for sight, stripe in shown:
+                end = begin + len(stripe.position)
+                pose = self.motion.cloud_from_c(sight.number)
+                sight.seen[k] = Seen.of(found.rows(begin, end), stripe, pose, self.centre)
+                begin = end
+        return sights
+
+    def _chunk(self, window: list[_Sight], at: int, begun: int, end: int) -> Chunk:
+        """Refine the frames from position ``begun`` to ``end`` of a window that begins at ``at``, and gather their points."""
         parts: list[ScanCloud] = []
         rejected: Counter[str] = Counter()
         with_points: set[int] = set()
-        for k, laser in enumerate(self.lasers):
-            shown = [(number, stripe) for number, stripes in frames for index, stripe in stripes if index == k]
-            if shown:
-                part, counts = self._range_laser(k, laser, shown)
-                rejected += counts
-                with_points |= set(np.unique(part.frame).tolist())
-                parts.append(part)
-        cloud = _joined(parts)
-        empty = len({number for number, _ in frames} - with_points)
-        return Chunk(first, len(frames), cloud, rejected, empty)
+        for k in range(len(self.lasers)):
+            shown = [(at + i, sight) for i, sight in enumerate(window) if k in sight.seen]
+            first, last = (sum(1 for position, _ in shown if position < edge) for edge in (begun, end))
+            if first == last:
+                continue
+            part, counts = self._refined(k, [sight for _, sight in shown], first, last)
+            rejected += counts
+            with_points |= set(np.unique(part.frame).tolist())
+            parts.append(part)
+        numbers = {sight.number for sight in window[begun - at : end - at]}
+        return Chunk(begun, end - begun, joined(parts), rejected, len(numbers - with_points))
 
-    def _range_laser(self, k: int, laser: Laser, shown: list[tuple[int, Stripe]]) -> tuple[ScanCloud, Counter[str]]:
-        pixels = np.concatenate([stripe.pixels for _, stripe in shown])
-        sigma_px = np.concatenate([stripe.sigma for _, stripe in shown])
-        reason: Codes = np.concatenate([stripe.reason for _, stripe in shown])
-        across = 1 if laser.along == "rows" else 0
-        found = triangulate(self.rig.camera, laser, pixels, sigma_px, across, extrapolate=self.options.extrapolate)
-        reason = np.where(reason == Reason.RANGED, found.reason, reason)
+    def _refined(self, k: int, sights: list[_Sight], first: int, last: int) -> tuple[ScanCloud, Counter[str]]:
+        lattice = Lattice.of([sight.seen[k] for sight in sights])
+        found = refine(lattice, first, last)
+        reason = found.reason
         if self.options.max_sigma is not None:
             reason[(reason == Reason.RANGED) & ~(found.sigma <= self.options.max_sigma)] = Reason.UNCERTAIN
         keep = reason == Reason.RANGED
-        lengths = [len(stripe.position) for _, stripe in shown]
-        numbers = np.repeat(np.array([number for number, _ in shown], dtype=np.int32), lengths)
-        points = found.points
-        for (number, _), end, length in zip(shown, np.cumsum(lengths), lengths, strict=True):
-            rows = slice(end - length, end)
-            points[rows] = self.motion.cloud_from_c(number).apply(points[rows])
+        lines = np.broadcast_to(np.arange(reason.shape[1], dtype=np.float64), reason.shape)
+        pair = (lines, found.position) if self.lasers[k].along == "rows" else (found.position, lines)
+        numbers = np.array([sight.number for sight in sights[first:last]], dtype=np.int32)
         counts = Counter(
             {
                 Reason(int(code)).key: int(n)
                 for code, n in zip(*np.unique(reason[~keep], return_counts=True), strict=True)
             }
         )
-        peak = np.concatenate([stripe.peak for _, stripe in shown])
         cloud = ScanCloud(
-            points=points[keep],
-            intensity=peak[keep].astype(np.float32),
+            points=found.points[keep],
+            intensity=lattice.peak[first:last][keep].astype(np.float32),
             sigma=found.sigma[keep].astype(np.float32),
-            sigma_cal=found.sigma_cal[keep].astype(np.float32),
-            pixels=pixels[keep].astype(np.float32),
-            frame=numbers[keep],
+            sigma_cal=lattice.sigma_cal[first:last][keep].astype(np.float32),
+            pixels=np.stack(pair, axis=2)[keep].astype(np.float32),
+            frame=np.broadcast_to(numbers[:, None], reason.shape)[keep],
             laser=np.full(int(keep.sum()), k, dtype=np.uint8),
         )
         return cloud, counts
 
-    def finish(self, chunks: list[Chunk], why: str, seconds: float) -> Scan:
-        """Join the chunks; ``RangingError`` where no frame gave a point."""
-        rejected: Counter[str] = sum((chunk.rejected for chunk in chunks), Counter())
-        frames = sum(chunk.frames for chunk in chunks)
-        cloud = _joined([chunk.cloud for chunk in chunks])
-        if frames and len(cloud) == 0:
-            reasons = ", ".join(f"{count} {reason}" for reason, count in rejected.most_common(3))
-            raise RangingError(
-                f"{self.capture.path}: no point in any of {frames} frames (lines without a point: {reasons}); check that the laser "
-                "is on, `channel`, exposure, and that the object is inside the calibrated volume (--extrapolate ranges outside)"
-            )
-        cloud = replace(
+    def refuse_nothing(self, tally: Tally) -> None:
+        """``RangingError`` where no frame gave a point."""
+        if tally.points:
+            return
+        if not tally.frames:
+            raise RangingError(f"{self.capture.path}: no frame came; check the camera or the video and scan again")
+        reasons = ", ".join(f"{count} {reason}" for reason, count in tally.rejected.most_common(3))
+        raise RangingError(
+            f"{self.capture.path}: no point in any of {tally.frames} frames (lines without a point: {reasons}); check that "
+            "the laser is on, `channel`, exposure, and that the object is inside the calibrated volume (--extrapolate "
+            "ranges outside)"
+        )
+
+    def described(self, cloud: ScanCloud, why: str) -> ScanCloud:
+        """Cloud with all that is known of the scan but its sensors."""
+        return replace(
             cloud,
-            sensors=self._sensors(sorted({int(n) for n in np.unique(cloud.frame)})),
             laser_names=tuple(laser.name for laser in self.lasers),
             rig_sha256=self.rig.sha256,
             verified=self.rig.verification.passed,
             complete=not why,
             camera_centre=self.centre,
         )
+
+    def finish(self, cloud: ScanCloud, tally: Tally, why: str, seconds: float) -> Scan:
+        """Sensors, normals, filters and the agreement of lasers; ``RangingError`` where no frame gave a point."""
+        self.refuse_nothing(tally)
+        numbers = np.unique(cloud.frame).tolist()
+        cloud = replace(self.described(cloud, why), sensors=self.sensors(numbers))
+        agreement = agreements(cloud)
         if self.options.normals:
             from scope.normals import lattice_normals
 
-            cloud = replace(cloud, normals=lattice_normals(cloud))
-        return Scan(cloud, frames, sum(chunk.empty for chunk in chunks), dict(rejected), seconds, why)
+            stored = cloud.points.astype(np.float32).astype(np.float64)  # as a resumed scan finds them
+            cloud = replace(cloud, normals=lattice_normals(replace(cloud, points=stored)))
+        cloud, removed = filtered(cloud, self.options.filters)
+        return self.scan(lambda: cloud, tally, why, seconds, points=len(cloud), filtered=removed, agreement=agreement)
 
-    def _sensors(self, frames: list[int]) -> Sensors:
+    def scan(
+        self, load: Callable[[], ScanCloud], tally: Tally, why: str, seconds: float, *, points: int,
+        filtered: Mapping[str, int] | None = None, agreement: tuple[Agreement, ...] = (),
+    ) -> Scan:  # fmt: skip
+        """Scan of a cloud that ``load`` gives."""
+        return Scan(
+            load, points, tally.frames, tally.empty, dict(tally.rejected), seconds, why, tally.sigma.value,
+            tally.sigma_cal.value, self.rig.verification.passed, filtered or {}, agreement,
+        )  # fmt: skip
+
+    def sensors(self, frames: list[int]) -> Sensors:
+        """Where camera and lasers were in the frames of these numbers."""
         rows = [(n, k) for n in frames for k in range(len(self.lasers))]
         poses = {n: self.motion.cloud_from_c(n) for n in frames}
         return Sensors(
@@ -283,7 +373,7 @@ class _Plan:
         )
 
 
-def _joined(parts: list[ScanCloud]) -> ScanCloud:
+def joined(parts: list[ScanCloud]) -> ScanCloud:
     """One cloud in scan order: by frame, then by laser, then along the stripe."""
     if not parts:
         return ScanCloud.from_points(np.zeros((0, 3)))
@@ -314,6 +404,29 @@ def _lasers(capture: Capture, rig: Rig) -> tuple[Laser, ...]:
 def _channel(capture: Capture, laser: Laser, sample: list[Image], has_dark: bool) -> Channel:
     asked = capture.channel if capture.channel != "auto" else laser.channel.partition("-")[0]
     return choose_channel(sample, asked, laser_off=has_dark) if sample else asked  # type: ignore[arg-type, return-value]
+
+
+def _told_apart(capture: Capture, lasers: tuple[Laser, ...], channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
+    """Channels of lasers that shine at once: each colour's excess, so that one line does not show in the other's image."""
+    colours = [channel.partition("-")[0] for channel in channels]
+    if len(set(colours)) < len(colours) or {"gray", "auto"} & set(colours):
+        told = ", ".join(f"{laser.name} is read in {colour}" for laser, colour in zip(lasers, colours, strict=True))
+        raise FileError(
+            f"{capture.path}: {told}: lasers that shine together are told apart by colour; give each [laser.NAME] a channel "
+            'of its own at calibration, scan one at a time (lasers), or take turns (sequence = "cycle")'
+        )
+    return tuple(f"{colour}-excess" for colour in colours)  # type: ignore[misc]
+
+
+def _uncrossed(found: list[tuple[int, Stripe]]) -> list[tuple[int, Stripe]]:
+    """Stripes without the lines on which two of them cross: there each takes light away from the other."""
+    for i, (_, a) in enumerate(found):
+        for _, b in found[i + 1 :]:
+            if a.along == b.along:
+                close = np.abs(a.position - b.position) < CROSSING * (a.width + b.width)
+                for stripe in (a, b):
+                    stripe.position[close], stripe.reason[close] = np.nan, Reason.TWO_PEAKS
+    return found
 
 
 def _check_size(image: Image, capture: Capture, rig: Rig, name: str = "its images") -> None:

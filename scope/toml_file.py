@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from calibration.errors import FileError
 from calibration.geometry import Array
@@ -28,8 +28,9 @@ def _finite(value: float) -> float:
     return value
 
 
-Number = Annotated[float, AfterValidator(_finite)]
-Positive = Annotated[float, Field(gt=0), AfterValidator(_finite)]
+Number = Annotated[float, Strict(), AfterValidator(_finite)]
+Positive = Annotated[float, Strict(), Field(gt=0), AfterValidator(_finite)]
+Flag = Annotated[bool, Strict()]
 Vector = tuple[Number, Number, Number]
 
 
@@ -54,6 +55,8 @@ def read_toml(path: Path, model: type[Model]) -> Model:
         raise FileError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     except UnicodeDecodeError as error:
         raise FileError(f"{path}: is no text in UTF-8 (byte {error.start}); give a TOML file") from error
+    except RecursionError as error:
+        raise FileError(f"{path}: TOML arrays or tables nested too deeply to be read; write them flat") from error
     except tomllib.TOMLDecodeError as error:
         raise FileError(f"{path}: TOML syntax: {error}; correct that line") from error
     version = content.get("format")

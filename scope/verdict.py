@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from calibration.analysis import Interplane, interplane
+from calibration.faults import Lattice, find_faults
 from calibration.held_out import HeldOut, held_out
 from calibration.laser import Laser
 from calibration.pinhole import FreehandFit
 from calibration.plane_map import rms
 from calibration.rig import Verification
+from calibration.targets import SpotGrid
 from calibration.two_plane import TwoPlaneFit
 from scope.calibration_file import CalibrationPlan
 from scope.find_marks import SeenPlane
@@ -58,7 +60,7 @@ def judge_jig(plan: CalibrationPlan, seen: list[SeenPlane], fit: TwoPlaneFit, la
                 heldout_mm=NAN if out is None else out.rms_mm,
             )
         )
-    faults = _moved(seen)
+    faults = [*_labelling(seen), *_named(plan, fit), *_moved(seen)]
     between = [h.rms_mm for h in held if h.between]
     ray_mm = float(np.sqrt(np.mean(np.square(between)))) if between else NAN
     content = {"ray_mm": ray_mm, "order": fit.planes[0].map.terms, "model": fit.camera.model}
@@ -92,6 +94,44 @@ def _row(seen: SeenPlane, **figures: float) -> dict[str, Any]:
     }
 
 
+def _named(plan: CalibrationPlan, fit: TwoPlaneFit) -> list[dict[str, Any]]:
+    """Faults that the planes show against each other; ``remedy`` is a whole sentence that names plane, fault, size and what to do."""
+    target = plan.target
+    lattice = Lattice(target.rows, target.columns, target.pitch) if isinstance(target, SpotGrid) else None
+    return [
+        {
+            "plane": fault.plane,
+            "kind": fault.kind,
+            "value": fault.value,
+            "standard_error": fault.standard_error,
+            "unit": fault.unit,
+            "or": list(fault.alternatives),
+            "centre": fault.centre,
+            "mark": fault.mark,
+            "remedy": fault.remedy,
+        }
+        for fault in find_faults(fit.marks, field=fit.joint.field, lattice=lattice)
+    ]
+
+
+def _labelling(seen: list[SeenPlane]) -> list[dict[str, Any]]:
+    """Return a fault ``labelling`` for every plane whose fiducials only match in a mirror."""
+    return [
+        {
+            "plane": s.plan.name,
+            "kind": "labelling",
+            "value": NAN,
+            "standard_error": NAN,
+            "unit": "",
+            "or": [],
+            "remedy": f"plane {s.plan.name}: its fiducials are seen mirrored: turn the front of the target to the camera, or "
+            "correct `fiducials`",
+        }
+        for s in seen
+        if s.mirrored
+    ]
+
+
 def _moved(seen: list[SeenPlane]) -> list[dict[str, Any]]:
     """Return a fault ``moved`` for every plane whose marks shift between repeats by more than their noise explains."""
     faults = []
@@ -105,7 +145,8 @@ def _moved(seen: list[SeenPlane]) -> list[dict[str, Any]]:
                     "standard_error": s.repeat_noise_px,
                     "unit": "px",
                     "or": [],
-                    "remedy": "target or camera moved between the repeats: fix both and take the images of this plane again",
+                    "remedy": f"plane {s.plan.name}: target or camera moved by {s.repeat_px:.3f} px between the repeats: fix both and "
+                    "take the images of this plane again",
                 }
             )
     return faults
@@ -123,7 +164,7 @@ def _verdict(
     *,
     planes: int,
 ) -> Verdict:
-    failed = [describe_fault(fault) for fault in faults]
+    failed = [str(fault["remedy"]) for fault in faults]
     failed += _beyond(plan, seen, lasers, ray_mm)
     passed = not failed
     why = "; ".join(failed) if failed else _praise(plan, planes)
@@ -137,15 +178,6 @@ def _verdict(
         **content,
     }
     return Verdict(Verification(passed, why, tuple(faults), tuple(rows), interplane_px), content)
-
-
-def describe_fault(fault: dict[str, Any]) -> str:
-    """One fault in one clause: plane, kind, size, remedy."""
-    size = f"{fault['value']:.3g}"
-    if fault["standard_error"] is not None and np.isfinite(fault["standard_error"]):
-        size += f" +- {fault['standard_error']:.1g}"
-    other = f" (or: {', '.join(fault['or'])})" if fault["or"] else ""
-    return f"plane {fault['plane']}: {fault['kind'].replace('_', '-')} {size} {fault['unit']}{other}: {fault['remedy']}"
 
 
 def _beyond(plan: CalibrationPlan, seen: list[SeenPlane], lasers: dict[str, Laser], ray_mm: float) -> list[str]:

@@ -56,7 +56,10 @@ def verify(rig_path: str | Path, other: str | Path | None = None) -> dict[str, A
                 f"{plan.path}: plane {plane.name}: images of {seen.size[0]} x {seen.size[1]} px; the rig was calibrated at "
                 f"{rig.camera.size[0]} x {rig.camera.size[1]}: use the same camera settings"
             )
-        marks = seen.marks if plane.c_from_target is not None else locate_target(rig.camera, seen.marks)
+        try:
+            marks = seen.marks if plane.c_from_target is not None else locate_target(rig.camera, seen.marks)
+        except CalibrationError as error:
+            raise CalibrationError(f"{plan.path}: {error}") from error
         rows.append((against(rig.camera, marks), plane.c_from_target is not None))
     return _judged(plan, rig, rows)
 

@@ -1,0 +1,133 @@
+"""Scanning: time over decoding alone, memory, first point: ``python -m benchmarks.scanning [time] [memory] [first]``.
+
+A simulated rig of 1280 x 960 px gives a few frames, which stand for a capture of hundreds (the files are links to them, so
+that rendering does not take hours). Time is that of `run_scan`, in process and warm, over decoding the same files with
+OpenCV on the same number of threads, alternating, least of several rounds. Memory is the peak resident size of a process
+that scans into a file. The first point is timed from the start of the command to the first points on disk.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from scope import frames
+from scope.calibrating import calibrate
+from scope.rig_design import CameraDesign, JigDesign, LaserDesign, MotionDesign, PlaneDesign, RigDesign, SphereDesign
+from scope.scanning import run_scan
+from scope.simulation import simulate
+
+RENDERED = 8
+DESIGN = RigDesign(
+    CameraDesign((1280, 960), 1400.0, (655.0, 470.0), distortion=(-0.18, 0.05, 0.0004, -0.0003, 0.0)),
+    LaserDesign((0.0, -190.0, 10.0), (0.0, 0.0, 400.0), roll=1.5, width=0.35),
+    JigDesign(
+        (340.0, 400.0, 460.0), 15, 21, 18.0, 6.0, fiducials=((7, 10), (7, 12), (4, 10)), fiducial_diameter=9.0, images=1,
+        laser_images=1,
+    ),
+    objects=(PlaneDesign(origin=(0.0, 0.0, 430.0)), SphereDesign(radius=30.0, origin=(0.0, 0.0, 420.0))),
+    motion=MotionDesign("linear", frames=RENDERED, direction=(0.0, 1.0, 0.0), step=5.0, start=-20.0),
+)  # fmt: skip
+
+_PEAK = """
+import resource, sys
+from pathlib import Path
+from scope.scan_file import scan_to_file
+from scope.scanning import ScanOptions
+found = scan_to_file(Path(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3]), ScanOptions())
+print(found.points, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def rig_and_frames(folder: Path) -> Path:
+    """Simulate and calibrate; returns the rig's file."""
+    simulate(DESIGN, folder / "session", np.random.default_rng(1))
+    calibrate(folder / "session" / "calibration.toml").rig.save(folder / "rig.json")
+    return folder / "rig.json"
+
+
+def capture_of(folder: Path, count: int) -> Path:
+    """Capture of ``count`` frames."""
+    made = sorted((folder / "session" / "frames").glob("*.png"))
+    place = folder / f"capture-{count}"
+    (place / "frames").mkdir(parents=True)
+    for k in range(count):
+        os.link(made[k % len(made)], place / "frames" / f"{k:05d}.png")
+    (place / "capture.toml").write_text(
+        'format = 1\nimages = "frames/*.png"\n[motion]\nkind = "linear"\ndirection = [0, 1, 0]\nstep = 0.1\n'
+    )
+    return place / "capture.toml"
+
+
+def time_ratio(folder: Path, rig: Path, *, count: int = 500, rounds: int = 3) -> float:
+    """Least time of scanning over least time of decoding."""
+    capture = capture_of(folder, count)
+    files = sorted((capture.parent / "frames").glob("*.png"))
+    cv2.setNumThreads(1)
+    run_scan(capture_of(folder, 20), rig)  # warm
+    scanning, decoding = [], []
+    for _ in range(rounds):
+        start = time.perf_counter()
+        with ThreadPoolExecutor(frames.THREADS) as pool:
+            for _ in pool.map(lambda path: cv2.imread(str(path), cv2.IMREAD_UNCHANGED).shape, files):
+                pass
+        decoding.append(time.perf_counter() - start)
+        start = time.perf_counter()
+        run_scan(capture, rig)
+        scanning.append(time.perf_counter() - start)
+    return min(scanning) / min(decoding)
+
+
+def peak(capture: Path, rig: Path) -> tuple[int, float]:
+    """Points, and peak resident size (MiB) of a process that scans into a file."""
+    command = [sys.executable, "-c", _PEAK, str(capture), str(rig), str(capture.parent / "cloud.ply")]
+    points, kib = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+    return int(points), int(kib) / 1024
+
+
+def first_point(capture: Path, rig: Path, *, rounds: int = 5) -> float:
+    """Least time, s, from the command to points on disk, with compiled code cached."""
+    code = "import sys; from cli.main import main; sys.argv[0] = 'scope'; main()"
+    found = []
+    for k in range(rounds + 1):
+        out = capture.parent / f"first-{k}.ply"
+        command = [sys.executable, "-c", code, "scan", str(capture), "--rig", str(rig), "-o", str(out), "--quiet"]
+        part = out.with_name(out.name + ".part")
+        start = time.perf_counter()
+        running = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        while not (part.is_file() and part.stat().st_size) and running.poll() is None:
+            time.sleep(0.002)
+        found.append(time.perf_counter() - start)
+        running.kill()
+        running.wait()
+    return min(found[1:])
+
+
+def main(wanted: set[str]) -> None:
+    print("| figure | peer or limit | reached | reach |")
+    print("| --- | --- | --- | --- |")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        rig = rig_and_frames(folder)
+        if "time" in wanted:
+            print(
+                f"| scanning 500 frames over decoding them | 1 | {time_ratio(folder, rig):.2f} | <= 1.15 |", flush=True
+            )
+        if "memory" in wanted:
+            (few, small), (many, large) = (peak(capture_of(folder, count), rig) for count in (200, 2000))
+            print(f"| peak memory, {many} points over {few} | 1 | {large / small:.3f} | <= 1.05 |", flush=True)
+        if "first" in wanted:
+            share = first_point(capture_of(folder, 300), rig) / 1.5
+            print(f"| first point, over the limit of 1.5 s | 1 | {share:.2f} | <= 1 |", flush=True)
+
+
+if __name__ == "__main__":
+    main(set(sys.argv[1:]) or {"time", "memory", "first"})

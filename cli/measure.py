@@ -1,0 +1,89 @@
+"""`scope roughness`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, say, user_errors
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command()(roughness)
+
+
+def roughness(
+    cloud: Annotated[Path, typer.Argument(help="Cloud (.ply), or height map (.npy .asc .txt .xyz .sdf .x3p), mm.")],
+    region: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--region", help="[NAME=]box:x0,x1,y0,y1[,z0,z1] | polygon:file.csv | mesh:file.stl; mm; may be repeated."
+        ),
+    ] = None,
+    form: Annotated[
+        str,
+        typer.Option("--form", help="auto, plane, robust-plane, cylinder, sphere, poly2 to poly10, none, model:file."),
+    ] = "auto",
+    s_filter: Annotated[
+        float | None, typer.Option("--s-filter", min=0.0, help="Nesting index of the areal S-filter, mm.")
+    ] = None,
+    l_filter: Annotated[
+        float | None, typer.Option("--l-filter", min=0.0, help="Areal L-filter and cut-off of the profiles, mm.")
+    ] = None,
+    noise: Annotated[
+        Path | None,
+        typer.Option("--noise", help="A repeat of the scan, best displaced by more than the stripe's width (.ply)."),
+    ] = None,
+    stripe_width: Annotated[
+        float | None, typer.Option("--stripe-width", min=0.0, help="One sigma of the stripe on the surface, mm.")
+    ] = None,
+    pitch: Annotated[
+        str | None, typer.Option("--pitch", help="Of a height map that tells none: mm, or DOWN,ALONG in mm.")
+    ] = None,
+    table: Annotated[Path | None, typer.Option("--csv", help="Write the parameters as CSV.")] = None,
+    report: Report = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Roughness of patches after ISO 25178-2 and ISO 21920-2, with the scanner's noise taken out.
+
+    Lengths are mm. Exit 3: a patch's Sq is withheld or mostly uncertain.
+    """
+    from calibration.atomic import require_folder, write_text
+    from scope.region_text import parse_region
+    from scope.roughness_report import roughness_csv, roughness_page, roughness_text
+    from scope.roughness_run import options_from_text, run_roughness
+
+    with user_errors():
+        for path in (table, report):
+            if path is not None:
+                require_folder(path)
+        try:
+            regions = [parse_region(text) for text in region or []]
+            options = options_from_text(form, s_filter=s_filter, l_filter=l_filter, stripe_width=stripe_width)
+            steps = None if pitch is None else _steps(pitch)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
+        patches = run_roughness(cloud, regions, options, noise=noise, pitch=steps)
+        if table is not None:
+            write_text(table, roughness_csv(patches))
+            say(f"wrote {table}", quiet=quiet)
+        if report is not None:
+            write_text(report, roughness_page(patches, cloud.name))
+            say(f"wrote {report}", quiet=quiet)
+    emit({"patches": [patch.to_dict() for patch in patches]}, as_json=as_json, text=roughness_text(patches))
+    bad = [patch.name for patch in patches if not patch.valid]
+    if bad:
+        say(f"not to be used: Sq of {', '.join(bad)} is withheld or uncertain by half of itself", quiet=quiet)
+        raise typer.Exit(EXIT_NOT_TO_BE_USED)
+
+
+def _steps(text: str) -> tuple[float, float]:
+    """Pitch down and along, mm, of ``0.1`` or ``0.2,0.1``."""
+    steps = [float(part) for part in text.split(",")]
+    if len(steps) not in {1, 2} or not all(0.0 < step < float("inf") for step in steps):
+        raise ValueError(f"pitch {text!r} is not a length in mm or two of them")
+    return steps[0], steps[-1]

@@ -1,0 +1,382 @@
+"""Surface roughness of a patch of a scan: what is surface, what is noise, and how sure either is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from scope.cloud import ScanCloud
+from scope.errors import MeasurementError
+from scope.heightmap import HeightMap
+from scope.heightmap_edges import refuse_edges
+from scope.heightmap_filter import l_filter, least_s_index, s_filter
+from scope.heightmap_form import remove_form
+from scope.heightmap_model import Mesh, remove_model
+from scope.heightmap_patch import LEAST_POINTS, patch_heights
+from scope.region import Region
+from scope.roughness_areal import gradient_products
+from scope.roughness_directions import LARGEST_NOISE_SHARE, Told, direction_parameters
+from scope.roughness_estimate import LINEAR, Estimate, Evidence, chance, estimate
+from scope.roughness_noise import SIGMA_TRUST, Noise, predicted_noise, repeat_noise
+from scope.roughness_table import AREAL, Parameter
+from scope.roughness_texture import ISOTROPIC, Autocorrelation
+
+LARGEST_PLAUSIBLE = 10.0  # mm rms about the form: beyond, it is no roughness but a shape or a wrong unit
+_LARGEST_OF_PATCH = 0.2  # of the patch's shorter side: beyond, likewise
+_SLOPE_UNCERTAINTY = 0.10  # k = 2: slopes that noise leaves less certain than this are withheld
+_SLOPE_NOISE = 12.0  # raw over clean: beyond, noise is 99.3 % of the squared slopes
+_SLOPE_SAMPLING = 0.80  # of Sdq left at twice the pitch: below, the pitch decides it
+_SMALL_PATCH = 40.0  # correlation lengths on a side, for 10 %
+
+
+@dataclass(frozen=True, slots=True)
+class RoughnessOptions:
+    """How roughness is measured; the defaults are the standard's where it has them."""
+
+    form: str = "auto"  # F-operator, see `scope.heightmap_form.remove_form`
+    s_filter: float | None = None  # mm, areal S-filter; None: the pitch and the stripe are the only S-filter
+    l_filter: float | None = None  # mm, areal L-filter and cut-off of the profiles; None: S-F surface, ISO 21920-3
+    model: Mesh | None = None  # the CAD surface, in the cloud frame, in place of a form
+    stripe_width: float = math.nan  # mm, one sigma of the stripe's profile on the surface; NaN: not known
+    sigma_trust: float = SIGMA_TRUST  # relative standard uncertainty of the points' sigma
+    uncertainty: bool = True  # False saves the time of it
+    edges: bool = False  # True: a patch that straddles an edge is measured all the same
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Roughness:
+    """Parameters of one patch."""
+
+    areal: Mapping[str, Parameter]
+    profile: Mapping[str, Mapping[str, Parameter]]  # "along" the stripe and "across" it
+    noise_floor: float  # mm rms of the heights' noise, NaN where unknown
+    noise_source: str  # "repeat", "sigma" or "unknown"
+    valid: bool  # Sq stands: it is given, and known to better than half of itself
+    pitch: tuple[float, float]  # mm between profiles, mm along them
+    bandwidth: Mapping[str, float | None]  # mm: pitch, stripe width, least S-index, S, L, cut-offs, patch
+    notes: tuple[str, ...]  # what a reader must know; warnings start with "warning:"
+    heights: HeightMap  # what was measured, form and filters applied
+    acf: Autocorrelation
+    name: str = "patch"
+    settings: Mapping[str, str] = field(default_factory=dict)  # form, filters, formulas, in words
+
+    def to_dict(self) -> dict[str, object]:
+        """As it stands in JSON (docs/formats.md)."""
+        return {
+            "name": self.name,
+            "areal": {key: value.to_dict() for key, value in self.areal.items()},
+            "profile": {way: {key: p.to_dict() for key, p in table.items()} for way, table in self.profile.items()},
+            "noise_floor_mm": None if math.isnan(self.noise_floor) else self.noise_floor,
+            "noise_source": self.noise_source,
+            "valid": self.valid,
+            "pitch_mm": list(self.pitch),
+            "bandwidth_mm": dict(self.bandwidth),
+            "heights": int(self.heights.known.sum()),
+            "gap_percent": 100.0 * self.heights.gap_share,
+            "settings": dict(self.settings),
+            "notes": list(self.notes),
+        }
+
+
+def measure_roughness(
+    cloud: ScanCloud,
+    *,
+    region: Region | None = None,
+    options: RoughnessOptions | None = None,
+    noise: ScanCloud | None = None,
+    name: str = "patch",
+    rng: np.random.Generator | None = None,
+) -> Roughness:
+    """ISO parameters of a patch of a cloud, with the sensor's noise taken out where that is valid.
+
+    Parameters
+    ----------
+    cloud : ScanCloud
+        In scan order; its ``sigma`` predicts the noise where there is no repeat (``sigma_cal`` never does: it is shared
+        by neighbours and moves no roughness).
+    region : Region, optional
+        The patch, in the cloud frame; the whole cloud unless told.
+    options : RoughnessOptions, optional
+    noise : ScanCloud, optional
+        A second scan of the same surface, best displaced by more than the stripe's width.
+    name : str
+        Of the patch, for reports.
+    rng : Generator, optional
+        For the noise that is drawn to find what filters leave of it; seeded with 0 unless given.
+
+    Raises
+    ------
+    MeasurementError
+        No patch to measure (see `scope.heightmap_patch.patch_heights`), an edge in it, filters that do not fit it, a
+        spread that no roughness has, a repeat that shows something else.
+    """
+    repeat = None if noise is None else patch_heights(noise, region)
+    heights = patch_heights(cloud, region)
+    if cloud.rig_sha256 and not cloud.verified:
+        told = "warning: the rig of this cloud did not pass its verification (scope verify says why)"
+        heights = replace(heights, notes=(*heights.notes, told))
+    return measure_heights(heights, options=options, repeat=repeat, name=name, rng=rng)
+
+
+def measure_heights(
+    heights: HeightMap,
+    *,
+    options: RoughnessOptions | None = None,
+    repeat: HeightMap | None = None,
+    name: str = "patch",
+    rng: np.random.Generator | None = None,
+) -> Roughness:
+    """Measure a height map; see `measure_roughness`. The repeat needs its ``points``, as those of a scan have."""
+    options = options or RoughnessOptions()
+    rng = rng or np.random.default_rng(0)
+    formed = _formed(heights, options)
+    if repeat is None:
+        known = predicted_noise(formed, trust=options.sigma_trust)
+    else:
+        same = replace(options, form=formed.form.split(" ")[0])
+        known = repeat_noise(formed, _formed(repeat, same), stripe_width=options.stripe_width)
+    primary, primary_noise = _filtered(formed, known, options.s_filter, None, rng)
+    final, final_noise = _filtered(primary, primary_noise, None, options.l_filter, rng)
+    width = 0.0 if math.isnan(options.stripe_width) else options.stripe_width
+    evidence = Evidence.gather(final, final_noise, rng, stripe_width=width)
+    found = estimate(evidence)
+    spread = chance(evidence, found, rng) if options.uncertainty else {}
+    trust = _trust(evidence, found, final_noise)
+    areal = _areal(evidence, found, final_noise, spread, trust, final.gap_share)
+    slope_reason = areal["Sdq"].reason
+    profile, told = direction_parameters(
+        primary, primary_noise, cutoff=options.l_filter, slope_reason=slope_reason, with_uncertainty=options.uncertainty
+    )
+    sq = areal["Sq"]
+    return Roughness(
+        areal=areal,
+        profile=profile,
+        noise_floor=final_noise.floor,
+        noise_source=final_noise.source,
+        valid=sq.value is not None and (sq.uncertainty or 2.0 * trust["Sq"]) < 0.5 * sq.value,
+        pitch=final.pitch,
+        bandwidth=_bandwidth(final, options, told),
+        notes=(*final.notes, *final_noise.notes, *_warnings(final, found), *told.notes),
+        heights=final,
+        acf=found.texture.acf,
+        name=name,
+        settings={
+            "form": final.form,
+            "filters": "; ".join(final.filters) or "none: S-F surface at the bandwidth of pitch and stripe",
+            **told.settings,
+        },
+    )
+
+
+def _formed(heights: HeightMap, options: RoughnessOptions) -> HeightMap:
+    count = int(heights.known.sum())
+    if count < LEAST_POINTS or min(heights.z.shape) < 10:
+        raise MeasurementError(
+            f"the patch has {count} heights on {heights.z.shape[0]} x {heights.z.shape[1]} places; {LEAST_POINTS} on at "
+            "least 10 x 10 are needed: choose a larger region or scan with smaller steps"
+        )
+    cropped = heights.cropped()
+    formed = remove_form(cropped, options.form) if options.model is None else remove_model(cropped, options.model)
+    spread = float(np.nanstd(formed.z))
+    limit = min(LARGEST_PLAUSIBLE, _LARGEST_OF_PATCH * min(formed.size))
+    if spread > limit:
+        raise MeasurementError(
+            f"the heights spread by {spread:.3g} mm rms about the {formed.form}, which is no roughness of a patch of "
+            f"{formed.size[0]:.3g} x {formed.size[1]:.3g} mm (limit {limit:.3g} mm): check that the data are in mm and "
+            "that the region is one surface"
+        )
+    if spread == 0.0:
+        raise MeasurementError("all heights lie exactly on the form: there is no roughness in these data to measure")
+    if not options.edges:
+        refuse_edges(formed)
+    return formed
+
+
+def _filtered(
+    heights: HeightMap, noise: Noise, s_index: float | None, l_index: float | None, rng: np.random.Generator
+) -> tuple[HeightMap, Noise]:
+    """Filter a map and, alike, its repeat; the noise floor becomes what the filters leave of it."""
+    if s_index is None and l_index is None:
+        return heights, noise
+
+    def passed(map_: HeightMap) -> HeightMap:
+        map_ = map_ if s_index is None else s_filter(map_, s_index)
+        return map_ if l_index is None else l_filter(map_, l_index)
+
+    result = passed(heights)
+    second = None if noise.second is None else passed(heights.with_heights(noise.second)).z
+    if math.isnan(noise.floor):
+        return result, replace(noise, second=second)
+    draw = np.where(heights.known, noise.floor * rng.standard_normal(heights.z.shape), np.nan)
+    return result, replace(noise, second=second, floor=float(np.nanstd(passed(heights.with_heights(draw)).z)))
+
+
+def _trust(evidence: Evidence, found: Estimate, noise: Noise) -> dict[str, float]:
+    """How far each parameter moves when a predicted sigma is wrong by its standard uncertainty."""
+    if noise.source != "sigma" or noise.trust == 0.0:
+        return dict.fromkeys(found.clean, 0.0)
+    factor = (1.0 + noise.trust) ** 2
+    more = replace(evidence, noise_variance=factor * evidence.noise_variance, slope_noise=factor * evidence.slope_noise)
+    moved = estimate(more, with_raw=False).clean
+    return {
+        key: abs(moved[key] - value) if math.isfinite(moved[key]) else math.inf for key, value in found.clean.items()
+    }
+
+
+def _areal(
+    evidence: Evidence,
+    found: Estimate,
+    noise: Noise,
+    spread: dict[str, float],
+    trust: dict[str, float],
+    gap_share: float,
+) -> dict[str, Parameter]:
+    table = {}
+    for key, definition in AREAL.items():
+        value, raw = found.clean[key], found.raw[key]
+        reason = _withheld(key, found, noise)
+        note = ""
+        extra = 0.0 if reason else _model_error(key, evidence, found, noise)
+        if key in {"Sp", "Sv", "Sz"} and gap_share > 0.01:
+            note = "one-sided: the gaps may hide a greater value"
+        elif key in {"Sdq", "Sdr"} and evidence.slope_index != (0.0, 0.0):
+            note = f"behind a Gaussian S-filter of {evidence.slope_index[0]:.3g} x {evidence.slope_index[1]:.3g} mm"
+        expanded = None
+        if spread and not reason and math.isfinite(spread[key]):
+            expanded = 2.0 * math.sqrt(spread[key] ** 2 + trust[key] ** 2 + extra**2)
+        if key in {"Sdq", "Sdr"} and not reason:
+            reason = _slope_gate(evidence, found, expanded if key == "Sdq" else None)
+        table[key] = Parameter(
+            value=None if reason else value,
+            uncertainty=None if reason or expanded is None or not math.isfinite(expanded) else expanded,
+            unit=definition.unit,
+            reason=reason,
+            raw=raw if math.isfinite(raw) else None,
+            note=note,
+            clause=definition.clause,
+        )
+    if table["Sdq"].value is None and table["Sdr"].value is not None:
+        table["Sdr"] = replace(table["Sdr"], value=None, uncertainty=None, reason=table["Sdq"].reason)
+    return table
+
+
+def _model_error(key: str, evidence: Evidence, found: Estimate, noise: Noise) -> float:
+    """Standard uncertainty of what the corrections take for granted.
+
+    Scaling takes surface and noise for Gaussian: its error grows with the surface's excess over a Gaussian. Extremes of
+    noise outnumber those of the surface, so that theirs is half of what scaling took; the material ratios of the core
+    are not corrected, but pulled to a Gaussian's. Smoothed slopes lose what twice the smoothing would lose again, and
+    the stripe's width is believed to a quarter.
+    """
+    clean, raw = found.clean, found.raw
+    if key in {"Sdq", "Sdr"}:
+        return (0.6 if key == "Sdq" else 1.2) * evidence.slope_loss() * clean[key]
+    width = 0.0
+    if key == "Sq" or key in LINEAR:
+        slopes = gradient_products(*evidence.slope_maps, evidence.pitch) - evidence.slope_noise
+        width = 0.25 * evidence.stripe_width**2 * max(float(slopes[0]), 0.0) / clean["Sq"] ** 2 * clean[key]
+    if noise.source == "unknown":
+        return width
+    if key in {"Sp", "Sv", "Sz"}:
+        return math.hypot(width, 0.5 * abs(raw[key] - clean[key]))
+    if key in {"Smr1", "Smr2"}:
+        return abs(1.0 - (clean["Sq"] / raw["Sq"]) ** 2)
+    if key in LINEAR:
+        excess = min(1.0, abs(clean["Ssk"]) / 2.0 + abs(clean["Sku"] - 3.0) / 3.0)
+        return math.hypot(width, (0.02 + 0.5 * excess) * abs(raw[key] - clean[key]))
+    return width
+
+
+def _withheld(key: str, found: Estimate, noise: Noise) -> str:
+    """Why a parameter does not exist here; empty where it does."""
+    if math.isnan(found.clean["Sq"]):
+        return f"the noise of {noise.floor:.3g} mm is all of the measured Sq of {found.raw['Sq']:.3g} mm"
+    share = 1.0 - (found.clean["Sq"] / found.raw["Sq"]) ** 2
+    if key in {"Ssk", "Sku"} and share > LARGEST_NOISE_SHARE:
+        return f"noise is {100.0 * share:.0f} % of the variance (limit {100.0 * LARGEST_NOISE_SHARE:g} %)"
+    if math.isfinite(found.clean[key]):
+        return ""
+    if key == "Str":
+        return f"the correlation falls to 0.2 within the patch in some directions only; Str is at most {found.texture.bound:.3g}"
+    if key == "Std":
+        if math.isfinite(found.texture.Str) and found.texture.Str >= ISOTROPIC:
+            return f"the surface is isotropic (Str {found.texture.Str:.2f}): it has no direction"
+        return "the correlation leaves the direction open"
+    if key == "Sal":
+        return "the correlation never falls to 0.2 within the patch: choose a larger region"
+    if key in {"Sdq", "Sdr"}:
+        return "noise: what it predicts of the slopes is as much as was measured"
+    return "nothing follows from these heights"
+
+
+def _slope_gate(evidence: Evidence, found: Estimate, expanded: float | None) -> str:
+    """Why slopes are withheld: decided by noise or by the pitch; empty where they stand."""
+    clean, raw = found.clean["Sdq"], found.raw["Sdq"]
+    if evidence.slope_index != (0.0, 0.0):
+        if raw > _SLOPE_NOISE * clean:
+            return f"noise: the measured Sdq of {raw:.3g} is {raw / clean:.0f} times what noise leaves of it (limit {_SLOPE_NOISE:g})"
+        if expanded is not None and math.isinf(expanded):
+            return "noise: a sigma wrong by its uncertainty accounts for all of the slopes; give a repeat scan"
+        if expanded is not None and expanded > _SLOPE_UNCERTAINTY * clean:
+            return (
+                f"noise: Sdq {clean:.3g} would be uncertain by {100.0 * expanded / clean:.0f} % "
+                f"(limit {100.0 * _SLOPE_UNCERTAINTY:g} %, k = 2)"
+            )
+    left = _coarser_slope(evidence)
+    if left < _SLOPE_SAMPLING:
+        return f"sampling: at twice the pitch Sdq falls to {100.0 * left:.0f} %, so the pitch decides it"
+    return ""
+
+
+def _coarser_slope(evidence: Evidence) -> float:
+    """Sdq at twice the pitch over Sdq."""
+    first, second = evidence.slope_maps
+    totals = []
+    for every in (1, 2):
+        square = 0.0
+        for axis in (0, 1):
+            a, b = (np.moveaxis(values, axis, 0) for values in (first, second))
+            product = (a[every:] - a[:-every]) * (b[every:] - b[:-every])
+            known = np.isfinite(product)
+            mean = float(product[known].mean()) / (every * evidence.pitch[axis]) ** 2 if known.any() else math.nan
+            square += mean - float(evidence.slope_noise[axis]) / every**2 if every == 1 else mean
+        totals.append(square)
+    return math.sqrt(totals[1] / totals[0]) if totals[0] > 0.0 and totals[1] > 0.0 else 1.0
+
+
+def _warnings(heights: HeightMap, found: Estimate) -> tuple[str, ...]:
+    notes = []
+    length = found.clean["Sal"]
+    side = math.sqrt((heights.size[0]) * heights.size[1])
+    if math.isfinite(length):
+        if side < _SMALL_PATCH * length:
+            notes.append(
+                f"warning: the patch is {side / length:.0f} correlation lengths (Sal {length:.3g} mm) on a side; about "
+                f"{_SMALL_PATCH:g} are needed for parameters that stand for the surface to 10 %"
+            )
+        if length < 3.0 * max(heights.pitch):
+            notes.append(
+                f"warning: the correlation length of {length:.3g} mm is under three pitches ({max(heights.pitch):.3g} mm): "
+                "the sampling is too coarse for the finest texture"
+            )
+    if heights.gap_share > 0.5:
+        notes.append(f"warning: {100.0 * heights.gap_share:.0f} % of the patch was not seen")
+    return tuple(notes)
+
+
+def _bandwidth(heights: HeightMap, options: RoughnessOptions, told: Told) -> dict[str, float | None]:
+    width = options.stripe_width
+    return {
+        "pitch_across": heights.pitch[0],
+        "pitch_along": heights.pitch[1],
+        "stripe_width": None if math.isnan(width) else width,
+        "least_s_index": least_s_index(heights.pitch),
+        "s_filter": options.s_filter,
+        "l_filter": options.l_filter,
+        **{f"cutoff_{way}": value for way, value in told.cutoffs.items()},
+        "patch_across": heights.size[0],
+        "patch_along": heights.size[1],
+    }

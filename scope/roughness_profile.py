@@ -1,0 +1,171 @@
+"""Profile parameters along one direction of a map of heights (ISO 21920-2, with the settings of ISO 21920-3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.geometry import Array
+from scope.heightmap_filter import gaussian
+
+# Setting classes of ISO 21920-3: up to this mean element width (mm), this nesting index of the L-filter (mm).
+_CLASSES: tuple[tuple[float, float], ...] = ((0.04, 0.08), (0.13, 0.25), (0.4, 0.8), (1.3, 2.5), (math.inf, 8.0))
+SECTIONS = 5  # section lengths in an evaluation length (ISO 21920-3)
+DISCRIMINATION = 0.10  # of Rz: a hill or dale lower than this is none (ISO 21920-2)
+_MOST_PROFILES = 200  # whose elements are looked at one by one
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profiles:
+    """Roughness profiles of one direction, and what was done to get them."""
+
+    z: Array  # (profiles, samples) mm, about the L-filter's mean line; NaN in gaps
+    pitch: float  # mm along a profile
+    cutoff: float  # mm, nesting index of the L-filter and section length
+    sections: int  # whole sections in the evaluation length
+    end_effect: float  # share of the heights within half a nesting index of an end or a gap
+
+    @property
+    def section(self) -> int:
+        """Samples in a section."""
+        return max(1, round(self.cutoff / self.pitch))
+
+
+def roughness_profiles(z: Array, pitch: float, cutoff: float | None = None) -> Profiles:
+    """Take the mean line off primary profiles (profiles, samples) mm sampled at ``pitch`` mm.
+
+    The evaluation length is the middle of the map, in five sections of one nesting index, or as many as fit. Without a
+    ``cutoff`` (mm) it is that of ISO 21920-3 for the mean width of the elements, or the longest of that table of which
+    five sections fit where this is shorter.
+
+    Raises
+    ------
+    ValueError
+        A cut-off longer than the profiles or shorter than two samples.
+    """
+    length = z.shape[1] * pitch
+    index = _default_cutoff(z, pitch) if cutoff is None else cutoff
+    if not 2.0 * pitch <= index <= length:
+        raise ValueError(f"a cut-off of {index:g} mm does not fit profiles of {length:.3g} mm at {pitch:.3g} mm")
+    smooth = gaussian(z, (1.0, pitch), (0.0, index))
+    rough = z - smooth.z
+    count = min(SECTIONS, int(length / index + 1e-9))
+    samples = min(round(index / pitch) * count, z.shape[1])
+    start = (z.shape[1] - samples) // 2
+    part = np.s_[:, start : start + samples]
+    known = np.isfinite(rough[part])
+    affected = float((smooth.support[part][known] < 0.95).mean()) if known.any() else 0.0
+    return Profiles(rough[part], pitch, index, count, affected)
+
+
+def profile_parameters(profiles: Profiles) -> dict[str, Array]:
+    """Parameters of each profile, (profiles,) each; NaN where a profile has too little.
+
+    Ra Rq Rt Rsk Rku Rdq over the evaluation length, Rz as the mean over its sections, RSm and Rc as means over the
+    profile elements, each a hill and a dale that leave the mean line by more than 10 % of Rz. A profile
+    of which half is missing gives nothing.
+    """
+    z = profiles.z
+    known = np.isfinite(z)
+    enough = known.sum(axis=1) >= max(10, z.shape[1] // 2)
+    count = np.maximum(known.sum(axis=1), 1)
+    centred = np.where(known, z, 0.0)
+    centred = np.where(known, centred - (centred.sum(axis=1) / count)[:, None], 0.0)
+    square = centred * centred
+    variance = square.sum(axis=1) / count
+    safe = np.where(variance > 0.0, variance, np.nan)
+    highest = np.where(known, centred, -np.inf).max(axis=1)
+    lowest = np.where(known, centred, np.inf).min(axis=1)
+    step = np.diff(z, axis=1) / profiles.pitch
+    pairs = np.isfinite(step)
+    result = {
+        "Ra": np.abs(centred).sum(axis=1) / count,
+        "Rq": np.sqrt(variance),
+        "Rz": _section_heights(np.where(known, centred, np.nan), profiles.section),
+        "Rt": highest - lowest,
+        "Rsk": (square * centred).sum(axis=1) / count / safe**1.5,
+        "Rku": (square * square).sum(axis=1) / count / safe**2,
+        "Rdq": np.sqrt(np.square(np.where(pairs, step, 0.0)).sum(axis=1) / np.maximum(pairs.sum(axis=1), 1)),
+    }
+    result = {name: np.where(enough, each, np.nan) for name, each in result.items()}
+    result["RSm"], result["Rc"] = np.full(len(z), np.nan), np.full(len(z), np.nan)
+    rows = np.flatnonzero(enough)
+    for row in rows[:: max(1, -(-len(rows) // _MOST_PROFILES))]:
+        result["RSm"][row], result["Rc"][row] = elements(
+            np.where(known[row], centred[row], np.nan), profiles.pitch, DISCRIMINATION * result["Rz"][row]
+        )
+    return result
+
+
+def elements(profile: Array, pitch: float, threshold: float) -> tuple[float, float]:
+    """Mean width (mm) and mean height (mm) of the elements of a profile (N,) mm about its mean line: RSm and Rc.
+
+    An element runs from one upward crossing of the mean line to the next; a hill or a dale that stays within
+    ``threshold`` (mm) of the line is not one and does not end an element. Elements do not reach across gaps; NaN where
+    there is none.
+    """
+    widths, heights = 0.0, 0.0
+    count = 0
+    for piece in _pieces(profile):
+        crossings = _upward_crossings(piece, threshold)
+        if len(crossings) < 2:
+            continue
+        starts = np.ceil(crossings).astype(np.int64)
+        inside = piece[starts[0] : starts[-1]]
+        places = starts[:-1] - starts[0]
+        span = np.maximum.reduceat(inside, places) - np.minimum.reduceat(inside, places)
+        widths += float(crossings[-1] - crossings[0]) * pitch
+        heights += float(span.sum())
+        count += len(crossings) - 1
+    return (widths / count, heights / count) if count else (math.nan, math.nan)
+
+
+def _upward_crossings(piece: Array, threshold: float) -> Array:
+    """Places (fractions of samples) where a profile without gaps crosses zero from a true dale to a true hill."""
+    beyond = np.flatnonzero(np.abs(piece) > threshold)
+    if len(beyond) < 2:
+        return np.zeros(0)
+    rises = np.flatnonzero((piece[beyond[:-1]] < 0.0) & (piece[beyond[1:]] > 0.0))
+    below = np.flatnonzero(piece <= 0.0)
+    last = below[np.searchsorted(below, beyond[rises + 1]) - 1]
+    return np.asarray(last + piece[last] / (piece[last] - piece[last + 1]))
+
+
+def _pieces(profile: Array) -> Iterator[Array]:
+    """Stretches of a profile without gaps, of ten samples or more."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.isfinite(profile).astype(np.int8), [0]])))
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        if stop - start >= 10:
+            yield profile[start:stop]
+
+
+def _section_heights(z: Array, section: int) -> Array:
+    """Mean over sections of highest minus lowest (profiles,) mm; sections with half of their heights missing are left out."""
+    count = max(1, z.shape[1] // section)
+    parts = z[:, : count * section].reshape(len(z), count, -1)
+    known = np.isfinite(parts)
+    height = np.where(known, parts, -np.inf).max(axis=2) - np.where(known, parts, np.inf).min(axis=2)
+    good = known.sum(axis=2) >= max(2, parts.shape[2] // 2)
+    total = np.where(good, height, 0.0).sum(axis=1)
+    return np.asarray(np.divide(total, good.sum(axis=1), out=np.full(len(z), np.nan), where=good.any(axis=1)))
+
+
+def _default_cutoff(z: Array, pitch: float) -> float:
+    length = float(z.shape[1] * pitch)
+    fitting = [index for _, index in _CLASSES if 4.0 * pitch <= index <= length / SECTIONS]
+    if not fitting:
+        return max(4.0 * pitch, length / SECTIONS) if length >= 4.0 * pitch else length
+    widths = []
+    for row in range(0, len(z), max(1, len(z) // 50)):
+        profile = z[row] - np.nanmean(z[row]) if np.isfinite(z[row]).any() else z[row]
+        threshold = DISCRIMINATION * float(np.ptp(profile[np.isfinite(profile)])) if np.isfinite(profile).any() else 0.0
+        widths.append(elements(profile, pitch, threshold)[0])
+    found = np.array(widths)[np.isfinite(widths)]
+    if len(found) == 0:
+        return fitting[-1]
+    width = float(np.median(found))
+    wanted = next(index for limit, index in _CLASSES if width <= limit)
+    return min(max(wanted, fitting[0]), fitting[-1])

@@ -1,0 +1,67 @@
+"""`scope roughness`, from files to patches."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from calibration.errors import FileError
+from scope.cloud import ScanCloud
+from scope.errors import MeasurementError
+from scope.heightmap_files import ENDINGS, read_heights, within
+from scope.region import Region
+from scope.roughness import Roughness, RoughnessOptions, measure_heights, measure_roughness
+
+
+def options_from_text(
+    form: str, *, s_filter: float | None = None, l_filter: float | None = None, stripe_width: float | None = None
+) -> RoughnessOptions:
+    """Options as the command line gives them; ``form`` may be ``model:file``, a mesh in the cloud frame.
+
+    ``ValueError`` for a form that is not known, ``FileError`` for a mesh that cannot be read.
+    """
+    from scope.heightmap_form import require_form
+
+    width = math.nan if stripe_width is None else stripe_width
+    options = RoughnessOptions(s_filter=s_filter, l_filter=l_filter, stripe_width=width)
+    if form.startswith("model:"):
+        from scope.heightmap_model import read_mesh
+
+        return replace(options, model=read_mesh(Path(form[6:])))
+    require_form(form)
+    return replace(options, form=form)
+
+
+def run_roughness(
+    source: Path,
+    regions: Sequence[tuple[str, Region | None]],
+    options: RoughnessOptions,
+    *,
+    noise: Path | None = None,
+    pitch: tuple[float, float] | None = None,
+) -> list[Roughness]:
+    """Measure every region of a cloud (.ply) or of a height map (.npy, .asc, .txt, .xyz, .sdf, .x3p).
+
+    ``pitch`` is that of a height map which tells none, mm (down, along). An error in one region names it.
+    """
+    is_map = source.suffix.lower() in ENDINGS
+    if is_map and (noise is not None or options.model is not None):
+        raise FileError(f"{source}: --noise and --form model: need a cloud; a height map has no places in space")
+    if is_map:
+        heights = read_heights(source, pitch=pitch)
+    else:
+        cloud = ScanCloud.load(source)
+        repeat = None if noise is None else ScanCloud.load(noise)
+    found = []
+    for name, region in regions or [(source.name, None)]:
+        try:
+            if is_map:
+                patch = heights if region is None else within(heights, region)
+                found.append(measure_heights(patch, options=options, name=name))
+            else:
+                found.append(measure_roughness(cloud, region=region, options=options, noise=repeat, name=name))
+        except MeasurementError as error:
+            raise MeasurementError(f"{name}: {error}") from error
+    return found
