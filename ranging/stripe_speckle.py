@@ -88,6 +88,8 @@ def refit_lines(
                 if total > 0.0:
                     p = moment / total
             a = total / (2.4 * s)
+        if not (0.0 <= p <= length - 1.0 and 0.0 < s < FAR and math.isfinite(a + b)):
+            continue  # a fit that ran away has no window
         wing = min(FAR, int(3.5 * s) + 2)
         middle = int(p + 0.5)
         first, last = max(0, middle - wing), min(length - 1, middle + wing)
@@ -144,7 +146,7 @@ def refit_lines(
             a = max(a + t[1], 0.3 * a)
             s = min(max(s + t[2], 0.7 * s), 1.4 * s)
             b += t[3]
-            if abs(p - middle) > wing:
+            if not (abs(p - middle) <= wing and math.isfinite(a + b) and s > 0.0):
                 good = False
                 break
             if abs(step) < 0.002 * s and abs(t[2]) < 0.01 * s:

@@ -99,6 +99,16 @@ def test_frames_without_stripe_are_counted(session, copy_of_session, tmp_path: P
     assert set(np.unique(ScanCloud.load(tmp_path / "c.ply").frame)) == set(range(12)) - {4}
 
 
+def agree(found: ScanCloud, plain: ScanCloud) -> bool:
+    """The same points on the same lines, but for what frames that are missing would have told of their neighbours."""
+    line = 0 if float(np.abs(plain.pixels[:, 0] % 1).max()) < 1e-3 else 1
+    place = {(f, round(float(p[line]))): x for f, p, x in zip(plain.frame, plain.pixels, plain.points, strict=True)}
+    shared = [(x, place[key]) for f, p, x in zip(found.frame, found.pixels, found.points, strict=True)
+              if (key := (f, round(float(p[line])))) in place]  # fmt: skip
+    gap = np.array([np.linalg.norm(a - b) for a, b in shared])
+    return len(shared) > 0.95 * max(len(found), len(plain)) and float(np.percentile(gap, 95)) < 0.02
+
+
 class Recorded:
     """A video that stands in for a camera: its frames, and then nothing."""
 
@@ -131,7 +141,7 @@ def test_a_camera(
     plain = scanning.run_scan(session.capture, Rig.load(session.rig)).cloud
     n = min(asked, given)
     assert (found.frames, found.cloud.complete) == (n, complete)
-    assert np.array_equal(found.cloud.points, plain.points[plain.frame < n])
+    assert agree(found.cloud, plain.select(plain.frame < n))
     assert ("7 of 12" in found.why_incomplete) != complete
 
 
@@ -142,7 +152,7 @@ def test_numbers_from_file_names_leave_gaps(session, copy_of_session) -> None:
     copy.capture.write_text(text, encoding="utf-8")
     plain = scanning.run_scan(session.capture, Rig.load(session.rig)).cloud
     found = scanning.run_scan(copy.capture, Rig.load(copy.rig)).cloud
-    assert np.array_equal(found.points, plain.points[plain.frame != 5])
+    assert agree(found, plain.select(plain.frame != 5))
     listed = text.replace('step = 2.0\nindex = "filename"\nstart = -11.0', 'positions = "p.csv"\nindex = "filename"')
     rows = "".join(f"{k:02d}.png,{-11 + 2 * k}\n" for k in range(12))
     (copy.folder / "p.csv").write_text("image,position\n" + rows, encoding="utf-8")

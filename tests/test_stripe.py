@@ -278,3 +278,19 @@ def test_most_of_a_traced_stripe_is_ranged_along_rows():
     lit = image.max(axis=0) > 40
     assert np.mean(np.isfinite(stripe.position[lit])) > 0.97
     assert not np.isfinite(stripe.position[image.max(axis=0) < 12]).any()
+
+
+@pytest.mark.parametrize("place", [np.nan, np.inf, -np.inf, 1e300, -50.0])
+def test_a_fit_that_ran_away_is_left_alone(place: float) -> None:
+    from ranging import stripe_speckle, stripe_table
+
+    image = np.full((8, 64), 20, dtype=np.uint8)
+    rows = max(stripe_table.GOOD, *(v for k, v in vars(stripe_table).items() if k.isupper() and isinstance(v, int))) + 1
+    table = np.ones((rows, 8))
+    table[stripe_table.STATE] = stripe_table.GOOD
+    table[stripe_table.POSITION] = place
+    layout = (8, 64, 64, 1)
+    stripe_speckle.refit_lines(
+        image.ravel(), image.ravel()[:0], layout, 35.0, 1.5, np.full(8, 0.3), 1.0, 255.0, np.ones(8), table
+    )
+    assert np.array_equal(table[stripe_table.POSITION], np.full(8, place), equal_nan=True)
