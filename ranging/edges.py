@@ -83,9 +83,13 @@ def refine(lattice: Lattice, first: int, last: int) -> Refined:
 def nearest_end(points: Array, view: Array, sigma: Array, first: int, last: int, ends: NDArray[np.int64]) -> None:
     """Steps from each point to the end of its surface, over frames ``ends[0]`` and over lines ``ends[1]``; FAR at most.
 
-    A surface ends where the next point is missing or lies behind or before; the border of the lattice is no end.
+    A surface ends where the next point is missing or lies behind or before; the border of the lattice is no end, nor is a
+    frame without any point: it was lost, or the laser was off.
     """
     frames, lines = sigma.shape
+    lost = np.zeros(frames, dtype=np.bool_)
+    for f in range(frames):
+        lost[f] = not np.any(sigma[f] > 0.0)
     for f in range(first, last):
         for i in range(lines):
             if not sigma[f, i] > 0.0:
@@ -95,7 +99,7 @@ def nearest_end(points: Array, view: Array, sigma: Array, first: int, last: int,
                     g, j = f, i
                     for n in range(FAR):
                         h, k = (g + way, j) if axis == 0 else (g, j + way)
-                        if h < 0 or h >= frames or k < 0 or k >= lines:
+                        if h < 0 or h >= frames or k < 0 or k >= lines or lost[h]:
                             break
                         if not _joined(points[g, j], points[h, k], view[g, j], sigma[g, j] + sigma[h, k]):
                             ends[axis, f - first, i] = min(n, ends[axis, f - first, i])

@@ -13,6 +13,7 @@ from ranging.stripe import Stripe
 from ranging.triangulation import Triangulated
 
 CONTEXT = 10  # frames before and after, at most, that are looked at to judge or correct one
+SPARSE = 5.0  # strides over the distance of points along the stripe, beyond which frames are no neighbours
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,9 +83,16 @@ class Lattice:
 
     @property
     def moves(self) -> bool:
-        """Whether frames are farther apart than their noise, so that one tells something about the next."""
+        """Whether frames lie beside each other on one surface, so that one tells something about the next.
+
+        They must be farther apart than their noise, and not so far that a patch across them would skip what lies between
+        (a turntable in steps of 10 degrees, say): at most ``SPARSE`` times the distance of points along the stripe.
+        """
         known = np.isfinite(self.sigma)
-        return bool(known.any()) and self.step(0) > 3.0 * float(np.median(self.sigma[known]))
+        if not known.any():
+            return False
+        stride = self.step(0)
+        return stride > 3.0 * float(np.median(self.sigma[known])) and stride <= SPARSE * self.step(1)
 
     def step(self, axis: int) -> float:
         """Median distance, mm, between neighbours from frame to frame (0) or from line to line (1); 0 where unknown."""

@@ -56,8 +56,6 @@ def scan_to_file(
     end = 0  # of what is already in the part, bytes
     if resume:
         end = _resumed(part, identity, tally)
-    else:
-        part.unlink(missing_ok=True)
     plan = Plan.of(read_capture(capture), rig, options)
     stream: BinaryIO | None = None
     try:
@@ -73,8 +71,8 @@ def scan_to_file(
         if stream is not None:
             with suppress(OSError):  # what could not be written has been told
                 stream.close()
-        if tally.points == 0:  # nothing that were worth resuming
-            part.unlink(missing_ok=True)
+            if tally.points == 0:  # nothing that were worth resuming
+                part.unlink(missing_ok=True)
     plan.refuse_nothing(tally)
     if out.suffix.lower() == ".ply" and len(plan.lasers) == 1 and not options.normals and not options.filters.any:
         _write_streamed(out, part, plan, tally, why)

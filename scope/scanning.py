@@ -20,7 +20,7 @@ from ranging.background import Channel, choose_channel, mean_image, to_gray
 from ranging.edges import refine
 from ranging.errors import RangingError
 from ranging.lattice import CONTEXT, Lattice, Seen
-from ranging.motion import Fixed, Linear, Motion, Turntable
+from ranging.motion import Linear, Motion, Turntable
 from ranging.stripe import Method, Stripe, StripeOptions, extract
 from ranging.triangulation import triangulate
 from scope.capture import Capture, StageUse, read_capture
@@ -179,7 +179,7 @@ class Plan:
         u, v = np.meshgrid(np.linspace(0.1, 0.9, 9) * width, np.linspace(0.1, 0.9, 9) * height)
         centre = centre_of(rig.camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)))
         # where the object moves, frames are compared with each other: a better judge than a frame's own lines
-        stripe = replace(options.stripe, neighbours=options.stripe.neighbours and isinstance(motion, Fixed))
+        stripe = replace(options.stripe, neighbours=options.stripe.neighbours and not isinstance(motion, Linear))
         plan = cls(capture, rig, options, lasers, channels, darks, stripe, motion, source, centre)
         return replace(plan, stripe=plan._with_noise(frames))
 
