@@ -132,7 +132,7 @@ def right(turn: float, shift: float) -> bool:
     return turn < 1.0 and shift < 0.5
 
 
-def undecidable(part: parts.Part, truth: Pose, rivals: list[Pose]) -> bool:
+def undecidable(part: parts.Part, truth: Pose, rivals: list[Pose], *, spacing: float = 0.6) -> bool:
     """Whether, for some rival, noise-free scans from both poses lie on the other's surface but for 1 point in 1000.
 
     On it means within 0.3 mm, three times the noise.
@@ -145,8 +145,8 @@ def undecidable(part: parts.Part, truth: Pose, rivals: list[Pose]) -> bool:
         gap = np.linalg.norm(surface.nearest(local)[0] - local, axis=1)
         return len(points) > 0 and float((gap > 0.3).mean()) <= 1e-3
 
-    seen = parts.sweep([(part, truth)], 0.6, reach)[0]
-    return any(lies(seen, rival) and lies(parts.sweep([(part, rival)], 0.6, reach)[0], truth) for rival in rivals)
+    seen = parts.sweep([(part, truth)], spacing, reach)[0]
+    return any(lies(seen, rival) and lies(parts.sweep([(part, rival)], spacing, reach)[0], truth) for rival in rivals)
 
 
 class Peer:

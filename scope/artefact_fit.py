@@ -234,8 +234,15 @@ def fit_levels(
             count = sum(held) if min(held) > 0 else 0
             if count > best:
                 best, normal, base = count, trial, offset
-    offset = base + levels
-    return _refined_levels(points, normal, offset, window)
+    found = _refined_levels(points, normal, base + levels, window)
+    measured = found.offset - found.offset[0]
+    if (np.abs(measured - levels) > 2 * window).any():
+        bad = int(np.argmax(np.abs(measured - levels)))
+        raise MeasurementError(
+            f"the step of {levels[bad]:g} mm is not there (what comes nearest is {measured[bad]:.3g} mm high); name only steps "
+            "that were scanned, or give their region"
+        )
+    return found
 
 
 def _refined_levels(points: Array, normal: Array, offset: Array, window: float) -> Levels:
@@ -276,6 +283,6 @@ def _refined_levels(points: Array, normal: Array, offset: Array, window: float) 
         name = "the base" if bad == 0 else f"the step of {offset[bad] - offset[0]:.3g} mm"
         raise MeasurementError(
             f"{name} is not flat: its points spread over the whole {window:.2g} mm about it; these are not the steps named, "
-            "or more than they is in the region"
+            "or more than the steps is in the region"
         )
     return Levels(normal, offset, covariance, level, np.where(level >= 0, residual, 0.0))

@@ -57,7 +57,7 @@ def test_forty_scans_give_no_wrong_pose_unflagged(name: str) -> None:
         found = estimate_pose(cloud, model(name))
         if found.cloud_from_model is None:
             rivals = [truth @ motion for motion in model(name).likenesses]
-            if not undecidable(part(name), truth, rivals):
+            if not undecidable(part(name), truth, rivals, spacing=1.0):
                 flagged.append((seed, found.why))
         elif not right(*errors(part(name), found.cloud_from_model, truth)):
             wrong.append(seed)
