@@ -19,7 +19,7 @@ class PoseOptions:
     form: float = 0.01  # mm, one sigma: no residual is known better than this, when a pose is refined
     starts: int = 800  # orientations tried
     candidates: int = 10  # poses weighed against each other
-    least_explained: float = 0.6  # share of the points that must lie on the model (a clamp may hide and add some)
+    least_explained: float = 0.75  # share of the points that must lie on the model (a clamp may hide and add some)
     least_covered: float = 0.75  # share of the surface that should have been seen and was
     most_blocked: float = 0.05  # share of the points seen through the model
     several: bool = True  # look for further equal parts

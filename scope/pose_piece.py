@@ -19,6 +19,10 @@ from scope.pose_surface import Surface
 from scope.pose_uncertainty import Uncertainty, shared_errors, uncertainty
 
 
+CLEAR_EXPLAINED = 0.9  # share of the points, above which a first search is not repeated with more starts
+CLEAR_COVERED = 0.95
+
+
 def locate(
     cloud: ScanCloud, rows: Ints, model: Model, surface: Surface, initial: Pose | None, options: PoseOptions
 ) -> PoseResult:
@@ -59,12 +63,14 @@ def locate(
         None if light is None else lambda pose: light.uncovered(surface, pose, model.samples[::40], model.normals[::40])
     )
     weighed: list[Evidence] = []
-    for starts, keep in ((options.starts, 40), (4 * options.starts, 120)):
-        poses, cost = search(model, view, starts=starts, keep=keep, uncovered=uncovered)
+    for starts, keep, spread in ((options.starts, 40, 0.0), (4 * options.starts, 120, 0.15)):
+        poses, cost = search(model, view, starts=starts, keep=keep, spread=spread, uncovered=uncovered)
         poses, cost = _with_likenesses(model, view, poses, cost, initial)
-        weighed = _weigh_all(model, surface, view, sigma[chosen], light, witnesses, poses, options, spacing)
-        if not _misfit(weighed[0], options):
-            break  # else look harder before saying no
+        found = _weigh_all(model, surface, view, sigma[chosen], light, witnesses, poses, options, spacing)
+        if not weighed or found[0].cost < weighed[0].cost:
+            weighed = found
+        if weighed[0].explained >= CLEAR_EXPLAINED and not weighed[0].covered < CLEAR_COVERED:
+            break  # else look harder, before saying no and before believing a pose that leaves much unexplained
     return _decide(cloud, rows, model, surface, weighed, sigma, camera, light, options)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.geometry import Array, Pose
 from scope.pose_grid import align
-from scope.pose_model import Model, distinct, rotations
+from scope.pose_model import Model, distinct, fibonacci_sphere, rotations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +66,7 @@ def search(
     *,
     starts: int = 1000,
     keep: int = 40,
+    spread: float = 0.0,
     uncovered: Callable[[Pose], float] | None = None,
 ) -> tuple[list[Pose], Array]:
     """Poses cloud_from_model worth refining, best first, and their costs (0: all points explained, 1: none).
@@ -79,6 +80,9 @@ def search(
         The part and the thinned scan of it.
     starts, keep : int
         Orientations tried; poses that reach the last batch.
+    spread : float
+        How far, in diameters, the starts are put aside of that, each in another direction: things that touch the part shift
+        the middle of the scan.
     uncovered : callable, optional
         Share of the surface that should have been seen at a pose cloud_from_model and was not. It is asked only where more
         poses than ``keep`` explain the points alike: a small face fits anywhere on a large one.
@@ -93,8 +97,9 @@ def search(
         towards = view.camera.mean(axis=0) - middle
         seen = start @ (towards / np.linalg.norm(towards))
         target = model.view_centroid[np.argmax(seen @ model.view_direction.T, axis=1)]
-    shift = target - start @ middle
     d = model.diameter
+    aside = spread * d * np.roll(fibonacci_sphere(len(start)), 7 * len(start) // 19, axis=0)
+    shift = target + aside - start @ middle
     p, n = np.ascontiguousarray(points[few]), np.ascontiguousarray(view.normals[few])
     reach = d * np.array([0.2, 0.2, 0.15, 0.15, 0.1, 0.1, 0.08, 0.06, 0.05, 0.04])
     rough = align(model.coarse, p, n, start, shift, reach)
