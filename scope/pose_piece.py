@@ -18,7 +18,6 @@ from scope.pose_search import View, normals_of, polish, search, thin
 from scope.pose_surface import Surface
 from scope.pose_uncertainty import Uncertainty, shared_errors, uncertainty
 
-
 CLEAR_EXPLAINED = 0.9  # share of the points, above which a first search is not repeated with more starts
 CLEAR_COVERED = 0.95
 
