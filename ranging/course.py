@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.geometry import Array
+from calibration.geometry import Array, Bools
 
 REACH = 4  # lines to either side
 STRAIGHT = 0.5  # px; a larger second difference is a jump
@@ -22,9 +22,11 @@ def follow(position: Array, light: Array) -> Array:
     Returns
     -------
     (F, L, 3) array
-        px/line, px/line^2, 1/line: least squares over nine lines, over five beside a gap or jump, zero beside nearer ones.
+        px/line, px/line^2, 1/line: least squares over nine lines, over five beside a gap or jump; the last two lines
+        before one go on as the course came, and are zero where there is none.
     """
     found = np.zeros((*position.shape, 3))
+    told = np.zeros(position.shape, dtype=bool)
     with np.errstate(invalid="ignore", divide="ignore"):
         log_light = np.log(light)
         bent = np.abs(position[:, 2:] - 2.0 * position[:, 1:-1] + position[:, :-2])
@@ -55,4 +57,20 @@ def follow(position: Array, light: Array) -> Array:
             sums[1] += curve[k] * moved
             sums[2] += slope[k] * (log_light[:, at] - level)
         found[:, inner][whole] = np.moveaxis(sums, 0, -1)[whole]
+        told[:, inner] |= whole
+    _prolong(found, told, position)
     return found
+
+
+def _prolong(found: Array, told: Bools, position: Array) -> None:
+    """Let a course go on to its ends, two lines at most, as it came: tilt and growth change by the bow."""
+    for _ in range(2):
+        fresh = told.copy()
+        for sign, here, beside in ((-1.0, slice(None, -1), slice(1, None)), (1.0, slice(1, None), slice(None, -1))):
+            tilt, bow, growth = (found[:, beside, k] for k in range(3))
+            with np.errstate(invalid="ignore"):
+                step = sign * (position[:, here] - position[:, beside])
+                goes_on = ~told[:, here] & told[:, beside] & (np.abs(step - tilt) < STRAIGHT + np.abs(bow))
+            found[:, here][goes_on] = np.stack([tilt + sign * bow, bow, growth], axis=-1)[goes_on]
+            fresh[:, here] |= goes_on
+        told[:] = fresh

@@ -1,28 +1,35 @@
 """Finds the points that an edge has displaced, and refines the others by the slope of their surface.
 
 Where a surface ends, or its neighbour hides or shades it, the camera sees part of the stripe's width, and the point is off
-by up to half of it. On a lattice such points betray themselves: they belong to none of the smooth patches around them.
-A rough surface is no reason to reject anything: there no patch is smooth, and the points stay as they are.
+by up to half of it. On a lattice such points are suspects: they have no smooth patch of their own. Suspects are measured a
+second time, by the passage of the sheet through the frames, which errs to the other side; how far the answers differ tells
+whether a suspect can be kept. A rough surface is no reason to reject anything: there no patch is smooth, and the points
+stay as they are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.geometry import Array, Codes
+from calibration.geometry import Array, Bools, Codes
 from calibration.reason import Reason
 from ranging import surface
 from ranging.kernels import compiled
 from ranging.lattice import Lattice
-from ranging.slope import correct
+from ranging.slope import Slopes, slopes
+from ranging.spacetime import TAPS, Exposure, follow_points
 
 AWAY = 4.0  # standard deviations from the nearest smooth patch, beyond which a point belongs to none
 FRAMES, LINES = 3, 2  # distances from the end of the surface at which a point that belongs to no patch is kept
 STEEPEST = 4.0  # rise over run, along the ray, beyond which neighbours are not on one surface
 FAR = 9
+HALF = 0.8  # mean of half a Gaussian, in its standard deviations
+HIDDEN = 0.3  # of the difference that half a stripe would cause: beyond, a point is no part of a result
+LEFT = 0.2  # of the difference of two answers: what their mean still errs by
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +42,7 @@ class Refined:
     reason: Codes  # (n, L)
 
 
-def refine(lattice: Lattice, first: int, last: int) -> Refined:
+def refine(lattice: Lattice, first: int, last: int, exposures: Sequence[Exposure | None] = ()) -> Refined:
     """Correct and judge frames ``first`` to ``last`` - 1 of a lattice.
 
     Parameters
@@ -45,38 +52,89 @@ def refine(lattice: Lattice, first: int, last: int) -> Refined:
         depends on no more.
     first, last : int
         Rows of the lattice.
+    exposures : sequence of Exposure, optional
+        Of each frame of the lattice, as for `follow_points`; without them points are judged by their neighbours alone.
 
     Returns
     -------
     Refined
-        A point has the reason EDGE where there are smooth patches around it and it belongs to none of them, and where
-        there is none and the surface ends within ``FRAMES`` frames or ``LINES`` lines. In a capture without motion, and of a
-        single frame, nothing is corrected and nothing rejected.
+        A point of a smooth patch is corrected for its slope. Other points beside such a patch, or near the end of their
+        surface, are measured a second time, by the passage of the sheet, and the two answers joined; where they are too far
+        apart, or the surface ends within ``LINES`` lines, the reason is EDGE. Without a second answer it is EDGE where the
+        point lies off the patch beside it, and, if there is no patch, where the surface ends within ``FRAMES``
+        frames or ``LINES`` lines. In a capture without motion, and of a single frame, nothing is corrected or rejected.
     """
     rows = slice(first, last)
-    found = correct(lattice, first, last)
+    found = slopes(lattice, first, last)
     reason = lattice.reason[rows].copy()
     points, position, sigma = lattice.points[rows].copy(), lattice.position[rows].copy(), lattice.sigma[rows].copy()
+    view, sheet, moved = lattice.view[rows], lattice.sheet[rows], lattice.moved[rows]
+    steep = np.einsum("fli,fli->fl", sheet, view)
+    weight = np.zeros(lattice.sigma.shape)
     if lattice.moves:
         ends = np.full((2, *sigma.shape), FAR, dtype=np.int64)
         nearest_end(lattice.points, lattice.view, lattice.sigma, first, last, ends)
         fit = found.table[rows]
         belongs = fit[..., surface.MISFIT] < surface.SMOOTH
-        cut = np.where(belongs, np.abs(fit[..., surface.AWAY]) > AWAY, (ends[0] < FRAMES) | (ends[1] < LINES))
-        cut |= (ends[0] < 1) | (ends[1] < 1)
+        at_end = (ends[0] < FRAMES) | (ends[1] < LINES)
+        cut = np.where(belongs, np.abs(fit[..., surface.AWAY]) > AWAY, at_end) | (ends[0] < 1) | (ends[1] < 1)
+        if len(exposures) and found.beam.width > 0.0:
+            doubtful = np.where(belongs, fit[..., surface.OWN] < 1.0, at_end) & (reason == Reason.RANGED)
+            second = measure_again(lattice, found, exposures, doubtful, first, last)
+            known = np.isfinite(second.offset)
+            weight[rows] = second.weight
+            points -= np.where(known, second.weight * second.offset / steep, 0.0)[..., None] * view
+            sigma = np.where(known, second.sigma / np.abs(steep), sigma)
+            cut = np.where(known, second.apart | (ends[1] < LINES), cut)
         reason[cut & (reason == Reason.RANGED)] = Reason.EDGE
     ranged = reason == Reason.RANGED
-    shift = np.where(ranged, found.shift[rows], 0.0)
-    view, sheet = lattice.view[rows], lattice.sheet[rows]
-    moved = lattice.moved[rows]
+    shift, left = (np.where(ranged, values[rows], 0.0) for values in found.correction(weight))
     with np.errstate(invalid="ignore", divide="ignore"):
-        along = np.einsum("fli,fli->fl", sheet, moved) / np.einsum("fli,fli->fl", sheet, view)
+        along = np.einsum("fli,fli->fl", sheet, moved) / steep
         points -= shift[..., None] * (moved - along[..., None] * view)
-        sigma = np.hypot(sigma, np.where(ranged, found.sigma[rows], 0.0) * np.abs(along))
+        sigma = np.hypot(sigma, left * np.abs(along))
     position -= shift
     for values in (points, position, sigma):
         values[~ranged] = np.nan
     return Refined(points, position, sigma, reason)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Second:
+    """Points measured a second time: (n, L) arrays, NaN or zero where that was not asked for or not possible."""
+
+    offset: Array  # mm along the sheet's normal: the surface lies so far before the sheet at the point's pixel
+    weight: Array  # of this answer, beside the first
+    sigma: Array  # mm along the sheet's normal, of both answers joined
+    apart: Bools  # the answers differ by more than an edge may explain that hides a small part of the stripe
+
+
+def measure_again(
+    lattice: Lattice, found: Slopes, exposures: Sequence[Exposure | None], doubtful: Bools, first: int, last: int
+) -> Second:
+    """Measure ``doubtful`` (n, L) points by the passage of the sheet, and see what both answers say of each other.
+
+    The weights are those with which the errors of both cancel (see `ranging.spacetime`). Where the stripe is cut in half,
+    each answer errs by the mean of half a Gaussian, 0.8 of the sheet's width and of the blur, to opposite sides; what they
+    differ beyond their noise and beyond what the slope explains measures how much is hidden.
+    """
+    rows = slice(first, last)
+    slope = np.abs(found.table[rows][..., surface.LEAVING])
+    known = np.isfinite(slope)
+    slope = np.where(known, slope, np.median(slope[known]) if known.any() else np.nan)
+    sheet, blur = found.sheet[rows], slope * np.sqrt(found.beam.blur + TAPS)
+    width = np.hypot(sheet, blur)
+    passed = follow_points(lattice, exposures, doubtful, width, first, last)
+    weight = np.where(np.isfinite(passed.offset), (sheet / width) ** 2, 0.0)
+    own = lattice.sigma[rows] * np.abs(np.einsum("fli,fli->fl", lattice.sheet[rows], lattice.view[rows]))
+    with np.errstate(invalid="ignore"):
+        explained = found.table[rows][..., surface.LEAVING] * (found.passage - found.profile)[rows]
+        gap = np.abs(passed.offset - np.where(np.isfinite(explained), explained, 0.0))
+        spread = np.hypot(own, passed.sigma)
+        apart = gap > HIDDEN * HALF * (sheet + blur) + 2.0 * spread
+        noise = np.hypot((1.0 - weight) * own, weight * passed.sigma)
+        sigma = np.hypot(noise, LEFT * np.maximum(gap - spread, 0.0))
+    return Second(passed.offset, weight, sigma, apart)
 
 
 @compiled

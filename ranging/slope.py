@@ -28,6 +28,7 @@ from calibration.geometry import Array
 from ranging import surface
 from ranging.course import follow
 from ranging.lattice import Lattice
+from ranging.spacetime import TAPS
 
 SPAN = 2.7  # standard deviations of the stripe's width, over which the surface is taken as a paraboloid, to either side
 STEEP = 0.35  # of h1 or h3: beyond, first order does not hold
@@ -53,17 +54,34 @@ class Beam:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Correction:
-    """What to take off the positions of a lattice."""
+class Slopes:
+    """What the surfaces of a lattice do to its stripes, (F, L) px each unless said otherwise; NaN where not known."""
 
-    shift: Array  # (F, L) px; 0 where the surface is not known well enough
-    sigma: Array  # (F, L) px, of what is left
-    width: Array  # (F, L) px, that the stripe should have there; NaN where the surface is not known
     table: Array  # (F, L, surface.COLUMNS)
     beam: Beam
+    sheet: Array  # mm, one sigma of the sheet of light at the point
+    profile: Array  # displacement of the profile on its line
+    passage: Array  # displacement that the passage of the sheet (`ranging.spacetime`) has in its place
+    noise: Array  # of both displacements, one standard deviation
+    variance: Array  # of a position, from which the displacement is to be taken off
+
+    def correction(self, weight: Array | float = 0.0) -> tuple[Array, Array]:
+        """What to take off positions in which the passage has a ``weight`` (F, L): px, and the sigma of what is left.
+
+        A displacement that is known less well than the position itself is taken off in part only. Zero where the surface
+        is not known.
+        """
+        full = self.profile + weight * (self.passage - self.profile)
+        known = np.isfinite(full)
+        full = np.where(known, full, 0.0)
+        noise = np.where(known, self.noise * (1.0 - weight), 0.0)
+        with np.errstate(invalid="ignore"):
+            share = np.where(known, self.variance / (self.variance + noise**2), 0.0)
+        left = np.hypot((1.0 - share) * full, DOUBT * full)
+        return share * full, np.hypot(left, share * noise)
 
 
-def correct(lattice: Lattice, first: int, last: int) -> Correction:
+def slopes(lattice: Lattice, first: int, last: int) -> Slopes:
     """Displacement of the stripe in frames ``first`` to ``last`` - 1 of a lattice.
 
     Parameters
@@ -75,8 +93,8 @@ def correct(lattice: Lattice, first: int, last: int) -> Correction:
 
     Returns
     -------
-    Correction
-        Zero, with no sigma of its own, where fewer than a dozen neighbours tell the surface: at its borders, and in a
+    Slopes
+        NaN where fewer than a dozen neighbours tell the surface: at its borders, and in a
         capture without motion. Where the neighbours lie on no paraboloid (edges, roughness finer than the stripe), too.
     """
     light = lattice.peak * lattice.width
@@ -84,13 +102,12 @@ def correct(lattice: Lattice, first: int, last: int) -> Correction:
     course = follow(lattice.position, light)
     distance = np.linalg.norm(lattice.points - lattice.camera[:, None, :], axis=2)
     beam = estimate_beam(table, lattice.width, course[..., 0], distance)
-    shift, noise, width = displacement(table, course, beam.width_at(distance), beam.blur, lattice)
-    known = np.isfinite(shift) & (table[..., surface.MISFIT] < surface.SMOOTH)
-    variance = lattice.sigma_px**2
-    share = np.where(known, variance / (variance + noise**2), 0.0)
-    full = np.where(known, shift, 0.0)
-    left = np.hypot((1.0 - share) * full, DOUBT * full)
-    return Correction(share * full, np.where(known, np.hypot(left, share * noise), 0.0), width, table, beam)
+    sheet = beam.width_at(distance)
+    profile, passage, noise = displacement(table, course, sheet, beam.blur, lattice)
+    unknown = ~(table[..., surface.MISFIT] < surface.SMOOTH)
+    for values in (profile, passage, noise):
+        values[unknown] = np.nan
+    return Slopes(table, beam, sheet, profile, passage, noise, lattice.sigma_px**2)
 
 
 def _surfaces(lattice: Lattice, light: Array, first: int, last: int) -> Array:
@@ -101,14 +118,17 @@ def _surfaces(lattice: Lattice, light: Array, first: int, last: int) -> Array:
     if not lattice.moves:
         return table
     wide = _stride(lattice)
-    for stride in dict.fromkeys((wide, (wide[0], max(1, wide[1] // 2)), (1, 1))):
+    half = max(1, wide[0] // 2), max(1, wide[1] // 2)
+    strides = list(dict.fromkeys((wide, (wide[0], half[1]), half, (1, 1))))
+    owns = [1.0] + [0.5] * (len(strides) - 1)
+    for stride, own in [*zip(strides, owns, strict=True), *((s, 0.0) for s in reversed(strides))]:
         margin = surface.NEAREST * stride[0]
         patches = np.full((*lattice.sigma.shape, surface.PATCH), np.nan)
         begin, end = max(0, first - margin), min(len(lattice.camera), last + margin)
         surface.fit_patches(lattice.points, lattice.view, lattice.sigma, glow, stride, begin, end, patches)
         surface.see_surfaces(
             lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, stride, first, last,
-            patches, table,
+            patches, own, table,
         )  # fmt: skip
     return table
 
@@ -116,7 +136,7 @@ def _surfaces(lattice: Lattice, light: Array, first: int, last: int) -> Array:
 def displacement(
     table: Array, course: Array, width: Array, blur: float, lattice: Lattice
 ) -> tuple[Array, Array, Array]:
-    """Displacement, its noise, and the width of the stripe, (F, L) px each; NaN where first order does not hold."""
+    """Displacement of the profile, of the passage, and their noise, (F, L) px each; NaN where first order does not hold."""
     a, b, g = (table[..., k] for k in (surface.LEAVING, surface.BENDING, surface.SHADING))
     tilt, bow, growth = (course[..., k] for k in range(3))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -126,9 +146,11 @@ def displacement(
         h1 = g * s0 + 3.0 * h3
         noise = s0**2 * table[..., surface.NOISE]
         rho = answer_to_skew(lattice.peak, *lattice.noise.T[:, :, None])
-        shift = s0 * h1 + rho * s0 * h3 * s0**2 / square + blur * (0.5 * bow + tilt * growth)
+        beside = blur * (0.5 * bow + tilt * growth)
+        profile = s0 * h1 + rho * s0 * h3 * s0**2 / square + beside
+        passage = beside - (blur + TAPS) * (g + 0.5 * b / a)
         valid = (np.abs(h1) < STEEP) & (np.abs(h3) < STEEP)
-    return np.where(valid, shift, np.nan), np.where(valid, noise, np.nan), np.sqrt(square)
+    return np.where(valid, profile, np.nan), np.where(valid, passage, np.nan), np.where(valid, noise, np.nan)
 
 
 def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> Beam:
@@ -149,7 +171,7 @@ def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> B
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         x, t, y = table[..., surface.LEAVING] ** -2, 1.0 + tilt**2, width**2
-        good = (table[..., surface.MISFIT] < surface.SMOOTH) & (table[..., surface.AWAY] == 0.0)
+        good = (table[..., surface.MISFIT] < surface.SMOOTH) & (table[..., surface.OWN] == 1.0)
         good &= np.isfinite(x + t + y) & (t < 5.0)
     if np.count_nonzero(good) < 50:
         return Beam(0.0, 0.0, 1.0, BLUR[0])

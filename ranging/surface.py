@@ -34,7 +34,8 @@ NOISE = 3  # 1/px, standard deviation of SHADING - 1.5 BENDING / LEAVING, from t
 MISFIT = 4  # chi squared a degree of freedom of the patch's points
 NORMAL = 5  # unit, away from the camera; three columns
 AWAY = 8  # distance of the point from the patch along the ray, over its standard deviation; 0 on its own patch
-COLUMNS = 9
+OWN = 9  # 1: the patch is about the point itself, and of the first stride; 0.5: of a smaller one; 0: borrowed
+COLUMNS = 10
 
 HALF = 2  # strides, from the middle of a patch to its border
 FREEDOM = 25 - 6
@@ -113,7 +114,7 @@ def fit_patches(
 @compiled
 def see_surfaces(
     points: Array, view: Array, moved: Array, sheet: Array, camera: Array, sigma: Array,
-    stride: tuple[int, int], first: int, last: int, patches: Array, table: Array,
+    stride: tuple[int, int], first: int, last: int, patches: Array, own: float, table: Array,
 ) -> None:  # fmt: skip
     """What the surface does across the stripe at every point of frames ``first`` to ``last`` - 1.
 
@@ -126,6 +127,8 @@ def see_surfaces(
     sigma : (F, L) array, mm
     patches : (F, L, PATCH) array
         Of `fit_patches`, for frames up to ``NEAREST`` strides before ``first`` and after ``last`` - 1.
+    own : float
+        What OWN becomes of points whose own patch is smooth; 0: the others are to borrow one.
     table : (F, L, COLUMNS) array
         Receives the answers; rows that already have a smooth patch stay as they are. MISFIT says how good the patch is: where the point's own patch
         is not `SMOOTH`, a smooth patch beside it is taken, of eight the one that the point is nearest to.
@@ -139,6 +142,8 @@ def see_surfaces(
             best_a, best_b = 0, 0
             away = 0.0
             if not patches[f, i, CHI] < SMOOTH:
+                if own > 0.0:
+                    continue
                 nearest = np.inf
                 for corners in (False, True):  # prolonged both ways, a patch says less: only where no other is smooth
                     if nearest < np.inf:
@@ -160,7 +165,7 @@ def see_surfaces(
                 away = nearest
             g, j = f + best_a * stride[0], i + best_b * stride[1]
             row[MISFIT] = patches[g, j, CHI]
-            row[AWAY] = away
+            row[AWAY], row[OWN] = away, own
             _optics(
                 patches[g, j], -best_a, -best_b, _vector(view[f, i]), _vector(moved[f, i]), _vector(sheet[f, i]),
                 _between(camera[f], points[f, i]), sigma[f, i], row,

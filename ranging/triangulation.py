@@ -22,6 +22,7 @@ class Triangulated:
     reason: Codes  # (N,) a Reason
     view: Array  # (N, 3) unit sighting rays in C, away from the camera
     moved: Array  # (N, 3) mm/px, of the ray at the point when its pixel moves across the stripe
+    slide: Array  # (N, 3) mm/px, the same when its pixel moves along the stripe
     sheet: Array  # (N, 3) unit normals of the sheet of light at the points
 
     def rows(self, begin: int, end: int) -> Triangulated:
@@ -66,11 +67,11 @@ def triangulate(
     n = len(pixels)
     points = np.full((n, 3), np.nan)
     sigma, sigma_cal = np.full(n, np.nan), np.full(n, np.nan)
-    view, moved, sheet = (np.full((n, 3), np.nan) for _ in range(3))
+    view, moved, slide, sheet = (np.full((n, 3), np.nan) for _ in range(4))
     reason = np.full(n, Reason.NO_LIGHT, dtype=np.uint8)
     rows = np.flatnonzero(np.isfinite(pixels).all(axis=1))
     if len(rows) == 0:
-        return Triangulated(points, sigma, sigma_cal, reason, view, moved, sheet)
+        return Triangulated(points, sigma, sigma_cal, reason, view, moved, slide, sheet)
     seen = pixels[rows]
     rays = camera.rays(seen)
     ranged = laser.sheet.intersect(rays, min_incidence=min_incidence)
@@ -86,11 +87,12 @@ def triangulate(
     kept, found, x = rows[good], seen[good], ranged.points[good]
     normal = laser.sheet.normal_at(x)
     view[kept], sheet[kept] = rays.direction[good], normal
-    moved[kept] = camera.shift(found, x)[:, :, across]
+    shift = camera.shift(found, x)
+    moved[kept], slide[kept] = shift[:, :, across], shift[:, :, 1 - across]
     slope = np.abs(np.einsum("ni,ni->n", normal, view[kept]))
     points[kept] = x
     sigma[kept] = np.abs(np.einsum("ni,ni->n", normal, moved[kept])) * sigma_px[kept] / slope
     # the ray's own uncertainty lies across depth: only its part along the sheet's normal moves the point
     lateral = camera.sigma_at(found, x) * np.sqrt(np.maximum(1 - normal[:, 2] ** 2, 0))
     sigma_cal[kept] = np.hypot(lateral, laser.sigma_at(x)) / slope
-    return Triangulated(points, sigma, sigma_cal, reason, view, moved, sheet)
+    return Triangulated(points, sigma, sigma_cal, reason, view, moved, slide, sheet)

@@ -16,11 +16,12 @@ from calibration.geometry import Array
 from calibration.laser import Laser
 from calibration.reason import Reason
 from calibration.rig import Rig
-from ranging.background import Channel, choose_channel, mean_image, to_gray
+from ranging.background import Channel, choose_channel, mean_image, saturation_level, to_gray
 from ranging.edges import refine
 from ranging.errors import RangingError
 from ranging.lattice import CONTEXT, Lattice, Seen
-from ranging.motion import Linear, Motion, Turntable
+from ranging.motion import Fixed, Linear, Motion, Turntable
+from ranging.spacetime import REACH, Exposure
 from ranging.stripe import Method, Stripe, StripeOptions, extract
 from ranging.triangulation import triangulate
 from scope.capture import Capture, StageUse, read_capture
@@ -130,11 +131,22 @@ def run_scan(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Taken:
+    """One laser's stripe on one frame, and the images that show it."""
+
+    laser: int
+    stripe: Stripe
+    image: Image
+    dark: Image | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Sight:
     """One frame's points, by the index of the laser."""
 
     number: int
     seen: dict[int, Seen] = field(default_factory=dict)
+    exposures: dict[int, Exposure] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,7 +198,7 @@ class Plan:
     def _with_noise(self, frames: list[Frame]) -> StripeOptions:
         """Stripe options with the median noise of a few frames: a camera has one, and looking for it in each costs time."""
         asked = self.stripe
-        known = [stripe.noise for frame in frames for _, stripe in self._extract(frame)[1]]
+        known = [taken.stripe.noise for frame in frames for taken in self._extract(frame)[1]]
         noise = [found for found in known if found is not None]
         if not noise:
             return asked
@@ -200,7 +212,7 @@ class Plan:
         """Ranged runs of frames, in order; what they end with depends on ``CONTEXT`` frames before and after each."""
         total = self.source.count or 0
         at = max(0, first - CONTEXT)  # position of the window's first frame
-        fresh: list[tuple[int, list[tuple[int, Stripe]]]] = []
+        fresh: list[tuple[int, list[_Taken]]] = []
         window: list[_Sight] = []
         begun, stopped = first, False
         try:
@@ -215,6 +227,8 @@ class Plan:
                     yield self._chunk(window, at, begun, end)
                     begun, old = end, max(0, end - CONTEXT - at)
                     window, at = window[old:], at + old
+                    for sight in window[: max(0, begun - REACH - at)]:
+                        sight.exposures.clear()
         except KeyboardInterrupt:
             stopped = True
         window = window + self._see(fresh)
@@ -225,11 +239,15 @@ class Plan:
         if stopped:
             raise KeyboardInterrupt
 
+    def _saturation(self, image: Image) -> float:
+        asked = self.stripe.saturation
+        return float(saturation_level(image.dtype) if asked is None else asked)
+
     def interrupted(self, tally: Tally) -> str:
         """Why a scan that the user ended is incomplete; empty for a camera that was to run until then."""
         return "" if self.source.endless else f"interrupted after {tally.frames} frames"
 
-    def _extract(self, frame: Frame) -> tuple[int, list[tuple[int, Stripe]]]:
+    def _extract(self, frame: Frame) -> tuple[int, list[_Taken]]:
         """Stripes of one frame, by laser; runs in a thread."""
         _check_size(frame.image, self.capture, self.rig, frame.name)
         shown = range(len(self.lasers))
@@ -244,27 +262,37 @@ class Plan:
                 stripe = extract(image, along=along, options=self.stripe, background=dark)  # type: ignore[arg-type]
             except ScopeError as error:
                 raise RangingError(f"{frame.name}: {error}") from error
-            found.append((k, stripe))
-        return frame.number, _uncrossed(found)
+            found.append(_Taken(k, stripe, image, dark))
+        _uncross([taken.stripe for taken in found])
+        return frame.number, found
 
-    def _see(self, frames: list[tuple[int, list[tuple[int, Stripe]]]]) -> list[_Sight]:
+    def _see(self, frames: list[tuple[int, list[_Taken]]]) -> list[_Sight]:
         """Triangulate frames, all at once for each laser."""
         sights = [_Sight(number) for number, _ in frames]
         for k, laser in enumerate(self.lasers):
             shown = [
-                (sight, stripe) for sight, (_, all_) in zip(sights, frames, strict=True) for j, stripe in all_ if j == k
+                (sight, taken)
+                for sight, (_, all_) in zip(sights, frames, strict=True)
+                for taken in all_
+                if taken.laser == k
             ]
             if not shown:
                 continue
-            pixels = np.concatenate([stripe.pixels for _, stripe in shown])
-            sigma_px = np.concatenate([stripe.sigma for _, stripe in shown])
+            pixels = np.concatenate([taken.stripe.pixels for _, taken in shown])
+            sigma_px = np.concatenate([taken.stripe.sigma for _, taken in shown])
             across = 1 if laser.along == "rows" else 0
             found = triangulate(self.rig.camera, laser, pixels, sigma_px, across, extrapolate=self.options.extrapolate)
             begin = 0
-            for sight, stripe in shown:
+            for sight, taken in shown:
+                stripe = taken.stripe
                 end = begin + len(stripe.position)
                 pose = self.motion.cloud_from_c(sight.number)
-                sight.seen[k] = Seen.of(found.rows(begin, end), stripe, pose, self.centre)
+                part = found.rows(begin, end)
+                sight.seen[k] = Seen.of(part, stripe, pose, self.centre)
+                sight.exposures[k] = Exposure(
+                    taken.image, taken.dark, laser.along, self._saturation(taken.image), pose,
+                    part.slide @ pose.rotation.T, stripe.floor,
+                )  # fmt: skip
                 begin = end
         return sights
 
@@ -287,7 +315,8 @@ class Plan:
 
     def _refined(self, k: int, sights: list[_Sight], first: int, last: int) -> tuple[ScanCloud, Counter[str]]:
         lattice = Lattice.of([sight.seen[k] for sight in sights])
-        found = refine(lattice, first, last)
+        exposures = [] if isinstance(self.motion, Fixed) else [sight.exposures.get(k) for sight in sights]
+        found = refine(lattice, first, last, exposures)
         reason = found.reason
         if self.options.max_sigma is not None:
             reason[(reason == Reason.RANGED) & ~(found.sigma <= self.options.max_sigma)] = Reason.UNCERTAIN
@@ -418,15 +447,14 @@ def _told_apart(capture: Capture, lasers: tuple[Laser, ...], channels: tuple[Cha
     return tuple(f"{colour}-excess" for colour in colours)  # type: ignore[misc]
 
 
-def _uncrossed(found: list[tuple[int, Stripe]]) -> list[tuple[int, Stripe]]:
-    """Stripes without the lines on which two of them cross: there each takes light away from the other."""
-    for i, (_, a) in enumerate(found):
-        for _, b in found[i + 1 :]:
+def _uncross(found: list[Stripe]) -> None:
+    """Strike out the lines on which two stripes cross: there each takes light away from the other."""
+    for i, a in enumerate(found):
+        for b in found[i + 1 :]:
             if a.along == b.along:
                 close = np.abs(a.position - b.position) < CROSSING * (a.width + b.width)
                 for stripe in (a, b):
                     stripe.position[close], stripe.reason[close] = np.nan, Reason.TWO_PEAKS
-    return found
 
 
 def _check_size(image: Image, capture: Capture, rig: Rig, name: str = "its images") -> None:

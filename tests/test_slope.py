@@ -99,7 +99,7 @@ def test_a_sphere_leaves_the_sheet_bends_and_shades_as_its_geometry_says():
     surface.fit_patches(lattice.points, lattice.view, lattice.sigma, light, (1, 2), 0, frames, patches)
     surface.see_surfaces(
         lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, (1, 2), 0, frames,
-        patches, table,
+        patches, 1.0, table,
     )  # fmt: skip
     v, h = lattice.position, 0.05
     b = (leaving(u, v + h, along) - 2 * leaving(u, v, along) + leaving(u, v - h, along)) / h**2
@@ -127,12 +127,12 @@ def test_the_noise_of_bending_and_shading_is_that_of_repeated_scans():
         surface.fit_patches(lattice.points, lattice.view, lattice.sigma, light, (1, 2), 8, 14, patches)
         surface.see_surfaces(
             lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, (1, 2), 8, 14,
-            patches, table,
+            patches, 1.0, table,
         )  # fmt: skip
         row = table[8:14, 8:-8]
         found.append(row[..., surface.SHADING] - 1.5 * row[..., surface.BENDING] / row[..., surface.LEAVING])
         told.append(row[..., surface.NOISE])
-    ratio = np.std(found, axis=0) / np.mean(told, axis=0)
+    ratio = np.nanstd(found, axis=0) / np.nanmean(told, axis=0)  # one in 5,000 finds its patch not smooth
     assert 0.85 < np.median(ratio) < 1.15
 
 
@@ -179,10 +179,9 @@ def test_displacement_is_that_of_a_fit_to_the_exact_profile(a, b, g, gain, dark)
     one = Lattice(**{name: getattr(lattice, name)[:1, :1] for name in Lattice.__slots__ if name != "noise"} | {
         "noise": np.array([[gain, dark, 0.0]]), "peak": peak,
     })  # fmt: skip
-    found, _, spread = slope.displacement(table, np.zeros((1, 1, 3)), np.full((1, 1), width), lens**2 + 1.0 / 12.0, one)
+    found, _, _ = slope.displacement(table, np.zeros((1, 1, 3)), np.full((1, 1), width), lens**2 + 1.0 / 12.0, one)
     assert abs(true) > 0.01
     assert found[0, 0] == pytest.approx(true, rel=0.15, abs=0.002)
-    assert spread[0, 0] == pytest.approx(np.hypot(width / a, np.sqrt(lens**2 + 1.0 / 12.0)))
 
 
 def test_skew_moves_a_shot_noise_fit_not_at_all_and_an_even_fit_by_one_and_a_half():
@@ -213,7 +212,9 @@ def test_a_gap_or_a_jump_ends_a_course():
     position = np.linspace(0.0, 3.0, 31)[None].copy()
     position[0, 15:] += 5.0
     course = follow(position, np.ones_like(position))
-    assert not course[0, 13:17].any()
+    np.testing.assert_allclose(course[0, [13, 14, 15, 16], 0], 0.1, atol=1e-9)  # goes on as it came, on either side
+    alone = np.where(np.arange(31) % 4 == 0, np.nan, position)
+    assert not follow(alone, np.ones_like(position)).any()
     np.testing.assert_allclose(course[0, 5:11, 0], 0.1, atol=1e-9)
 
 
@@ -222,7 +223,7 @@ def test_width_of_sheet_and_blur_come_out_of_the_widths_of_stripes(width, blur):
     rng = np.random.default_rng(7)
     table = np.full((40, 200, surface.COLUMNS), np.nan)
     a = np.geomspace(0.15, 0.7, 200)[None] * np.ones((40, 1))
-    table[..., surface.LEAVING], table[..., surface.MISFIT], table[..., surface.AWAY] = a, 1.0, 0.0
+    table[..., surface.LEAVING], table[..., surface.MISFIT], table[..., surface.OWN] = a, 1.0, 1.0
     distance = 400.0 + 60.0 * rng.random(a.shape)
     seen = np.sqrt((width * np.sqrt(distance / 430.0) / a) ** 2 + blur) * (1 + 0.01 * rng.standard_normal(a.shape))
     beam = slope.estimate_beam(table, seen, np.zeros_like(a), distance)
@@ -232,7 +233,7 @@ def test_width_of_sheet_and_blur_come_out_of_the_widths_of_stripes(width, blur):
 
 def test_a_displaced_sphere_is_put_back_and_its_sigma_holds():
     """Positions are displaced as fits to the exact profiles of a few slopes say; what is left is noise."""
-    start = -7.0
+    start, lens = -7.0, 0.526  # px; these few slopes cannot tell the blur, so it is what is assumed of a lens
     lattice, a = sphere(start=start, width=0.45)
     u, along = grids(start=start)
     v, h, width = lattice.position, 0.05, 0.45
@@ -240,15 +241,15 @@ def test_a_displaced_sphere_is_put_back_and_its_sigma_holds():
     g = (np.log(radiance(u, v + h, along)) - np.log(radiance(u, v - h, along))) / (2 * h)
     middle = u.shape[1] // 2
     shift = np.array(
-        [fitted_shift(a[f, middle], b[f, middle], g[f, middle], width, 0.6, 35.0, 1.5, 120.0) for f in range(len(u))]
+        [fitted_shift(a[f, middle], b[f, middle], g[f, middle], width, lens, 35.0, 1.5, 120.0) for f in range(len(u))]
     )
     rng = np.random.default_rng(3)
     noise = 0.01 * rng.standard_normal(u.shape)
-    seen, _ = sphere(shift[:, None] + noise, start=start, width=0.45)
+    seen, _ = sphere(shift[:, None] + noise, start=start, width=0.45, blur=lens**2 + 1.0 / 12.0)
     found = refine(seen, 0, len(u))
     # the blur along the bowed stripe, which these lines did not suffer, is taken off as well
     bow = slope.estimate_beam(
-        slope.correct(seen, 0, len(u)).table, seen.width, 0 * v, np.linalg.norm(seen.points, axis=2)
+        slope.slopes(seen, 0, len(u)).table, seen.width, 0 * v, np.linalg.norm(seen.points, axis=2)
     ).blur
     bow = bow * 0.5 * follow(v, np.ones_like(v))[..., 1]
     error = found.position + bow - v
@@ -267,7 +268,7 @@ def test_answers_depend_on_no_more_than_the_context():
     noise = 0.01 * rng.standard_normal(lattice.sigma.shape)
     lattice, _ = sphere(noise)
     frames = len(lattice.camera)
-    whole = slope.correct(lattice, 11, 12)
+    whole = slope.slopes(lattice, 11, 12)
     part = Lattice(**{name: getattr(lattice, name)[11 - CONTEXT : 12 + CONTEXT] for name in Lattice.__slots__})
     assert frames == 23
-    np.testing.assert_array_equal(slope.correct(part, CONTEXT, CONTEXT + 1).shift[CONTEXT], whole.shift[11])
+    np.testing.assert_array_equal(slope.slopes(part, CONTEXT, CONTEXT + 1).profile[CONTEXT], whole.profile[11])
