@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from calibration.geometry import Array, Bools
+from calibration.geometry import Array
+from ranging.kernels import compiled
 
 REACH = 4  # lines to either side
+NEAR = 2  # the same beside a gap or jump
 STRAIGHT = 0.5  # px; a larger second difference is a jump
 
 
@@ -26,51 +30,51 @@ def follow(position: Array, light: Array) -> Array:
         before one go on as the course came, and are zero where there is none.
     """
     found = np.zeros((*position.shape, 3))
-    told = np.zeros(position.shape, dtype=bool)
     with np.errstate(invalid="ignore", divide="ignore"):
-        log_light = np.log(light)
-        bent = np.abs(position[:, 2:] - 2.0 * position[:, 1:-1] + position[:, :-2])
-        smooth = np.zeros(position.shape, dtype=bool)
-        smooth[:, 1:-1] = bent < STRAIGHT
-    smooth &= np.isfinite(log_light)
-    lines = position.shape[1]
-    for reach in (2, REACH):
-        if lines < 2 * reach + 1:
-            continue
-        x = np.arange(-reach, reach + 1, dtype=np.float64)
-        slope = x / np.sum(x * x)
-        curve = x * x - np.mean(x * x)
-        curve = 2.0 * curve / np.sum(curve * curve)
-        inner = slice(reach, lines - reach)
-        whole = np.ones((len(position), lines - 2 * reach), dtype=bool)
-        sums = np.zeros((3, *whole.shape))
-        middle = position[:, inner]
-        level = log_light[:, inner]
-        for k in range(2 * reach + 1):
-            at = slice(k, lines - 2 * reach + k)
-            if 0 < k < 2 * reach:
-                whole &= smooth[:, at]
-            else:
-                whole &= np.isfinite(log_light[:, at])
-            moved = position[:, at] - middle
-            sums[0] += slope[k] * moved
-            sums[1] += curve[k] * moved
-            sums[2] += slope[k] * (log_light[:, at] - level)
-        found[:, inner][whole] = np.moveaxis(sums, 0, -1)[whole]
-        told[:, inner] |= whole
-    _prolong(found, told, position)
+        _follow(position, np.log(light), found)
     return found
 
 
-def _prolong(found: Array, told: Bools, position: Array) -> None:
-    """Let a course go on to its ends, two lines at most, as it came: tilt and growth change by the bow."""
-    for _ in range(2):
-        fresh = told.copy()
-        for sign, here, beside in ((-1.0, slice(None, -1), slice(1, None)), (1.0, slice(1, None), slice(None, -1))):
-            tilt, bow, growth = (found[:, beside, k] for k in range(3))
-            with np.errstate(invalid="ignore"):
-                step = sign * (position[:, here] - position[:, beside])
-                goes_on = ~told[:, here] & told[:, beside] & (np.abs(step - tilt) < STRAIGHT + np.abs(bow))
-            found[:, here][goes_on] = np.stack([tilt + sign * bow, bow, growth], axis=-1)[goes_on]
-            fresh[:, here] |= goes_on
-        told[:] = fresh
+@compiled
+def _follow(position: Array, light: Array, found: Array) -> None:
+    frames, lines = position.shape
+    straight = np.empty(lines, np.bool_)
+    told = np.empty(lines, np.int8)
+    for f in range(frames):
+        p, g = position[f], light[f]
+        for i in range(lines):
+            told[i] = 0
+            straight[i] = False
+            if 0 < i < lines - 1 and math.isfinite(g[i]):
+                straight[i] = abs(p[i + 1] - 2.0 * p[i] + p[i - 1]) < STRAIGHT
+        for reach in (NEAR, REACH):
+            n = 2 * reach + 1
+            square = reach * (reach + 1) * n / 3.0
+            mean = square / n
+            fourth = square * (3.0 * reach * (reach + 1) - 1.0) / 5.0 - n * mean * mean  # of x^2 about its mean
+            for i in range(reach, lines - reach):
+                whole = math.isfinite(g[i - reach]) and math.isfinite(g[i + reach])
+                for k in range(i - reach + 1, i + reach):
+                    whole = whole and straight[k]
+                if not whole:
+                    continue
+                tilt = bow = growth = 0.0
+                for x in range(-reach, reach + 1):
+                    step = p[i + x] - p[i]
+                    tilt += x * step
+                    bow += (x * x - mean) * step
+                    growth += x * (g[i + x] - g[i])
+                found[f, i, 0], found[f, i, 1], found[f, i, 2] = tilt / square, 2.0 * bow / fourth, growth / square
+                told[i] = 1
+        for lap in (1, 2):  # tilt changes by the bow
+            for i in range(lines):
+                if told[i] or not math.isfinite(p[i]):
+                    continue
+                for way in (-1, 1):
+                    j = i - way
+                    if not 0 <= j < lines or told[j] == 0 or told[j] > lap or told[i]:
+                        continue
+                    tilt, bow = found[f, j, 0], found[f, j, 1]
+                    if abs(way * (p[i] - p[j]) - tilt) < STRAIGHT + abs(bow):
+                        found[f, i, 0], found[f, i, 1], found[f, i, 2] = tilt + way * bow, bow, found[f, j, 2]
+                        told[i] = lap + 1

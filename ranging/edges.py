@@ -70,25 +70,26 @@ def refine(lattice: Lattice, first: int, last: int, exposures: Sequence[Exposure
     points, position, sigma = lattice.points[rows].copy(), lattice.position[rows].copy(), lattice.sigma[rows].copy()
     view, sheet, moved = lattice.view[rows], lattice.sheet[rows], lattice.moved[rows]
     steep = np.einsum("fli,fli->fl", sheet, view)
-    weight = np.zeros(lattice.sigma.shape)
-    if lattice.moves:
-        ends = np.full((2, *sigma.shape), FAR, dtype=np.int64)
-        nearest_end(lattice.points, lattice.view, lattice.sigma, first, last, ends)
-        fit = found.table[rows]
+    weight = np.zeros(reason.shape)
+    if found.moves:
+        fit = found.table
         belongs = fit[..., surface.MISFIT] < surface.SMOOTH
+        suspect = ~(belongs & (fit[..., surface.OWN] == 1.0))  # a wide patch of its own has no end near by
+        ends = np.full((2, *sigma.shape), FAR, dtype=np.int64)
+        nearest_end(lattice.points, lattice.view, lattice.sigma, first, last, suspect, ends)
         at_end = (ends[0] < FRAMES) | (ends[1] < LINES)
         cut = np.where(belongs, np.abs(fit[..., surface.AWAY]) > AWAY, at_end) | (ends[0] < 1) | (ends[1] < 1)
         if len(exposures) and found.beam.width > 0.0:
-            doubtful = np.where(belongs, fit[..., surface.OWN] < 1.0, at_end) & (reason == Reason.RANGED)
+            doubtful = suspect & (belongs | at_end) & (reason == Reason.RANGED)
             second = measure_again(lattice, found, exposures, doubtful, first, last)
             known = np.isfinite(second.offset)
-            weight[rows] = second.weight
+            weight = second.weight
             points -= np.where(known, second.weight * second.offset / steep, 0.0)[..., None] * view
             sigma = np.where(known, second.sigma / np.abs(steep), sigma)
             cut = np.where(known, second.apart | (ends[1] < LINES), cut)
         reason[cut & (reason == Reason.RANGED)] = Reason.EDGE
     ranged = reason == Reason.RANGED
-    shift, left = (np.where(ranged, values[rows], 0.0) for values in found.correction(weight))
+    shift, left = (np.where(ranged, values, 0.0) for values in found.correction(weight))
     with np.errstate(invalid="ignore", divide="ignore"):
         along = np.einsum("fli,fli->fl", sheet, moved) / steep
         points -= shift[..., None] * (moved - along[..., None] * view)
@@ -119,16 +120,16 @@ def measure_again(
     differ beyond their noise and beyond what the slope explains measures how much is hidden.
     """
     rows = slice(first, last)
-    slope = np.abs(found.table[rows][..., surface.LEAVING])
+    slope = np.abs(found.table[..., surface.LEAVING])
     known = np.isfinite(slope)
     slope = np.where(known, slope, np.median(slope[known]) if known.any() else np.nan)
-    sheet, blur = found.sheet[rows], slope * np.sqrt(found.beam.blur + TAPS)
+    sheet, blur = found.sheet, slope * np.sqrt(found.beam.blur + TAPS)
     width = np.hypot(sheet, blur)
     passed = follow_points(lattice, exposures, doubtful, width, first, last)
     weight = np.where(np.isfinite(passed.offset), (sheet / width) ** 2, 0.0)
     own = lattice.sigma[rows] * np.abs(np.einsum("fli,fli->fl", lattice.sheet[rows], lattice.view[rows]))
     with np.errstate(invalid="ignore"):
-        explained = found.table[rows][..., surface.LEAVING] * (found.passage - found.profile)[rows]
+        explained = found.table[..., surface.LEAVING] * (found.passage - found.profile)
         gap = np.abs(passed.offset - np.where(np.isfinite(explained), explained, 0.0))
         spread = np.hypot(own, passed.sigma)
         apart = gap > HIDDEN * HALF * (sheet + blur) + 2.0 * spread
@@ -138,8 +139,10 @@ def measure_again(
 
 
 @compiled
-def nearest_end(points: Array, view: Array, sigma: Array, first: int, last: int, ends: NDArray[np.int64]) -> None:
-    """Steps from each point to the end of its surface, over frames ``ends[0]`` and over lines ``ends[1]``; FAR at most.
+def nearest_end(
+    points: Array, view: Array, sigma: Array, first: int, last: int, wanted: Bools, ends: NDArray[np.int64]
+) -> None:  # fmt: skip
+    """Steps from each ``wanted`` (n, L) point to the end of its surface, over frames ``ends[0]`` and over lines ``ends[1]``; FAR at most.
 
     A surface ends where the next point is missing or lies behind or before; the border of the lattice is no end, nor is a
     frame without any point: it was lost, or the laser was off.
@@ -150,7 +153,7 @@ def nearest_end(points: Array, view: Array, sigma: Array, first: int, last: int,
         lost[f] = not np.any(sigma[f] > 0.0)
     for f in range(first, last):
         for i in range(lines):
-            if not sigma[f, i] > 0.0:
+            if not (wanted[f - first, i] and sigma[f, i] > 0.0):
                 continue
             for axis in range(2):
                 for way in (-1, 1):

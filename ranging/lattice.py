@@ -13,6 +13,7 @@ from ranging.stripe import Stripe
 from ranging.triangulation import Triangulated
 
 CONTEXT = 10  # frames before and after, at most, that are looked at to judge or correct one
+SAMPLE = 8  # lines, of which one is looked at for the lattice's own measures
 SPARSE = 5.0  # strides over the distance of points along the stripe, beyond which frames are no neighbours
 
 
@@ -81,6 +82,10 @@ class Lattice:
         """Stack frames, one at least."""
         return cls(**{f.name: np.stack([getattr(frame, f.name) for frame in frames]) for f in fields(Seen)})
 
+    def rows(self, first: int, last: int) -> Lattice:
+        """Frames ``first`` to ``last`` - 1."""
+        return Lattice(**{f.name: getattr(self, f.name)[first:last] for f in fields(self)})
+
     @property
     def moves(self) -> bool:
         """Whether frames lie beside each other on one surface, so that one tells something about the next.
@@ -88,15 +93,23 @@ class Lattice:
         They must be farther apart than their noise, and not so far that a patch across them would skip what lies between
         (a turntable in steps of 10 degrees, say): at most ``SPARSE`` times the distance of points along the stripe.
         """
-        known = np.isfinite(self.sigma)
+        some = self.sigma[:, ::SAMPLE]
+        known = np.isfinite(some)
         if not known.any():
             return False
         stride = self.step(0)
-        return stride > 3.0 * float(np.median(self.sigma[known])) and stride <= SPARSE * self.step(1)
+        return stride > 3.0 * float(np.median(some[known])) and stride <= SPARSE * self.step(1)
 
     def step(self, axis: int) -> float:
-        """Median distance, mm, between neighbours from frame to frame (0) or from line to line (1); 0 where unknown."""
-        length = np.linalg.norm(np.diff(self.points, axis=axis), axis=2)
+        """Median distance, mm, between neighbours from frame to frame (0) or from line to line (1); 0 where unknown.
+
+        One line in `SAMPLE` is looked at.
+        """
+        if axis == 0:
+            gap = np.diff(self.points[:, ::SAMPLE], axis=0)
+        else:
+            gap = self.points[:, 1::SAMPLE] - self.points[:, : self.points.shape[1] - 1 : SAMPLE]
+        length = np.linalg.norm(gap, axis=2)
         known = np.isfinite(length)
         return float(np.median(length[known])) if known.any() else 0.0
 

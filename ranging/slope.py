@@ -19,6 +19,7 @@ c^2 (v'' / 2 + v' M' / M), v(u) being the stripe's course.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 
@@ -27,6 +28,7 @@ import numpy as np
 from calibration.geometry import Array
 from ranging import surface
 from ranging.course import follow
+from ranging.kernels import compiled
 from ranging.lattice import Lattice
 from ranging.spacetime import TAPS
 
@@ -36,6 +38,7 @@ DOUBT = 0.15  # of a correction, for what is not known: the surface need not be 
 MOST = 2, 6  # frames and lines, at most, from one point of a patch to the next
 GROWTH = 1.0, 1.0  # see `estimate_beam`; how far that may be wrong
 TELLING = 500.0  # a tenth of the variance, five times told: how much the widths of stripes are trusted
+SAMPLE = 4  # lines, of which one tells the beam
 BLUR = 0.36, 0.25  # px^2: a lens of half a pixel and the pixel's own 1/12; how far that may be wrong
 
 
@@ -55,9 +58,10 @@ class Beam:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slopes:
-    """What the surfaces of a lattice do to its stripes, (F, L) px each unless said otherwise; NaN where not known."""
+    """What the surfaces of n frames do to their stripes, (n, L) px each unless said otherwise; NaN where not known."""
 
-    table: Array  # (F, L, surface.COLUMNS)
+    moves: bool  # see `Lattice.moves`
+    table: Array  # (n, L, surface.COLUMNS)
     beam: Beam
     sheet: Array  # mm, one sigma of the sheet of light at the point
     profile: Array  # displacement of the profile on its line
@@ -66,7 +70,7 @@ class Slopes:
     variance: Array  # of a position, from which the displacement is to be taken off
 
     def correction(self, weight: Array | float = 0.0) -> tuple[Array, Array]:
-        """What to take off positions in which the passage has a ``weight`` (F, L): px, and the sigma of what is left.
+        """What to take off positions in which the passage has a ``weight`` (n, L): px, and the sigma of what is left.
 
         A displacement that is known less well than the position itself is taken off in part only. Zero where the surface
         is not known.
@@ -87,7 +91,7 @@ def slopes(lattice: Lattice, first: int, last: int) -> Slopes:
     Parameters
     ----------
     lattice : Lattice
-        With up to `CONTEXT` frames before and after those asked for. Other frames' rows of the result are NaN.
+        With up to `CONTEXT` frames before and after those asked for.
     first, last : int
         Rows of the lattice.
 
@@ -97,38 +101,36 @@ def slopes(lattice: Lattice, first: int, last: int) -> Slopes:
         NaN where fewer than a dozen neighbours tell the surface: at its borders, and in a
         capture without motion. Where the neighbours lie on no paraboloid (edges, roughness finer than the stripe), too.
     """
-    light = lattice.peak * lattice.width
-    table = _surfaces(lattice, light, first, last)
-    course = follow(lattice.position, light)
-    distance = np.linalg.norm(lattice.points - lattice.camera[:, None, :], axis=2)
-    beam = estimate_beam(table, lattice.width, course[..., 0], distance)
+    moves = lattice.moves
+    table = _surfaces(lattice, first, last, moves)
+    asked = lattice.rows(first, last)
+    course = follow(asked.position, asked.peak * asked.width)
+    distance = np.linalg.norm(asked.points - asked.camera[:, None, :], axis=2)
+    some = slice(None, None, SAMPLE)
+    beam = estimate_beam(table[:, some], asked.width[:, some], course[:, some, 0], distance[:, some])
     sheet = beam.width_at(distance)
-    profile, passage, noise = displacement(table, course, sheet, beam.blur, lattice)
-    unknown = ~(table[..., surface.MISFIT] < surface.SMOOTH)
-    for values in (profile, passage, noise):
-        values[unknown] = np.nan
-    return Slopes(table, beam, sheet, profile, passage, noise, lattice.sigma_px**2)
+    profile, passage, noise = displacement(table, course, sheet, beam.blur, asked)
+    return Slopes(moves, table, beam, sheet, profile, passage, noise, asked.sigma_px**2)
 
 
-def _surfaces(lattice: Lattice, light: Array, first: int, last: int) -> Array:
-    """Table of `surface.see_surfaces`; where no wide patch is smooth, of narrow ones."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        glow = np.log(light)
-    table = np.full((*lattice.sigma.shape, surface.COLUMNS), np.nan)
-    if not lattice.moves:
+def _surfaces(lattice: Lattice, first: int, last: int, moves: bool) -> Array:
+    """Table of `surface.see_surfaces`: of the point's own patch, wide or narrow, or of one beside it, narrow or wide."""
+    frames, lines = lattice.sigma.shape
+    table = np.full((last - first, lines, surface.COLUMNS), np.nan)
+    if not moves:
         return table
+    with np.errstate(invalid="ignore", divide="ignore"):
+        glow = np.log(lattice.peak * lattice.width)
     wide = _stride(lattice)
     half = max(1, wide[0] // 2), max(1, wide[1] // 2)
     strides = list(dict.fromkeys((wide, (wide[0], half[1]), half, (1, 1))))
-    owns = [1.0] + [0.5] * (len(strides) - 1)
-    for stride, own in [*zip(strides, owns, strict=True), *((s, 0.0) for s in reversed(strides))]:
-        margin = surface.NEAREST * stride[0]
-        patches = np.full((*lattice.sigma.shape, surface.PATCH), np.nan)
-        begin, end = max(0, first - margin), min(len(lattice.camera), last + margin)
-        surface.fit_patches(lattice.points, lattice.view, lattice.sigma, glow, stride, begin, end, patches)
+    patches = [np.empty((frames, lines, surface.PATCH)) for _ in strides]
+    fitted = [np.zeros((frames, lines), dtype=bool) for _ in strides]
+    owns = [(k, 1.0 if k == 0 else 0.5) for k in range(len(strides))]
+    for k, own in [*owns, *((k, 0.0) for k in reversed(range(len(strides))))]:
         surface.see_surfaces(
-            lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, stride, first, last,
-            patches, own, table,
+            lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, glow, strides[k],
+            first, last, patches[k], fitted[k], own, table,
         )  # fmt: skip
     return table
 
@@ -137,20 +139,33 @@ def displacement(
     table: Array, course: Array, width: Array, blur: float, lattice: Lattice
 ) -> tuple[Array, Array, Array]:
     """Displacement of the profile, of the passage, and their noise, (F, L) px each; NaN where first order does not hold."""
-    a, b, g = (table[..., k] for k in (surface.LEAVING, surface.BENDING, surface.SHADING))
-    tilt, bow, growth = (course[..., k] for k in range(3))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        s0 = width / np.abs(a)
-        square = s0**2 + blur * (1.0 + tilt**2)
-        h3 = -0.5 * b * s0 / a
-        h1 = g * s0 + 3.0 * h3
-        noise = s0**2 * table[..., surface.NOISE]
-        rho = answer_to_skew(lattice.peak, *lattice.noise.T[:, :, None])
-        beside = blur * (0.5 * bow + tilt * growth)
-        profile = s0 * h1 + rho * s0 * h3 * s0**2 / square + beside
-        passage = beside - (blur + TAPS) * (g + 0.5 * b / a)
-        valid = (np.abs(h1) < STEEP) & (np.abs(h3) < STEEP)
-    return np.where(valid, profile, np.nan), np.where(valid, passage, np.nan), np.where(valid, noise, np.nan)
+    profile, passage, noise = (np.empty(width.shape) for _ in range(3))
+    _displace(table, course, width, blur, lattice.peak, lattice.noise, skews(), profile, passage, noise)
+    return profile, passage, noise
+
+
+@compiled
+def _displace(
+    table: Array, course: Array, width: Array, blur: float, peak: Array, camera: Array, answers: Array,
+    profile: Array, passage: Array, noise: Array,
+) -> None:  # fmt: skip
+    for f in range(width.shape[0]):
+        gain, dark, speckle = camera[f, 0], camera[f, 1], camera[f, 2]
+        for i in range(width.shape[1]):
+            row = table[f, i]
+            a, b, g = row[surface.LEAVING], row[surface.BENDING], row[surface.SHADING]
+            tilt, bow, growth = course[f, i, 0], course[f, i, 1], course[f, i, 2]
+            s0 = width[f, i] / abs(a)
+            h3 = -0.5 * b * s0 / a
+            h1 = g * s0 + 3.0 * h3
+            profile[f, i] = passage[f, i] = noise[f, i] = np.nan
+            if not (row[surface.MISFIT] < surface.SMOOTH and abs(h1) < STEEP and abs(h3) < STEEP):
+                continue
+            beside = blur * (0.5 * bow + tilt * growth)
+            rho = answer_to_skew(peak[f, i], gain, dark, speckle, answers)
+            profile[f, i] = s0 * h1 + rho * s0 * h3 * s0**2 / (s0**2 + blur * (1.0 + tilt**2)) + beside
+            passage[f, i] = beside - (blur + TAPS) * (g + 0.5 * b / a)
+            noise[f, i] = s0**2 * row[surface.NOISE]
 
 
 def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> Beam:
@@ -197,40 +212,38 @@ def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> B
     return Beam(float(np.sqrt(square / usual)), float(np.clip(found[1] / square, -1.0, 3.0)), middle, blur)
 
 
-def answer_to_skew(peak: Array, gain: Array, dark: Array, speckle: Array) -> Array:
+@compiled
+def answer_to_skew(peak: float, gain: float, dark: float, speckle: float, answers: Array) -> float:
     """rho: displacement of a Gaussian fit, in sigma, by a unit of He3 in the profile.
 
-    The weights are 1 / (dark + peak G / gain + (speckle peak G)^2); the answer depends on both ratios to ``dark``.
+    The weights are 1 / (dark + peak G / gain + (speckle peak G)^2); the answer depends on both ratios to ``dark``, and is
+    looked up in ``answers``, those of `skews`.
     """
-    ratio, rough = _skews()[0], _skews()[1]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        q = np.log10(np.clip(peak / (gain * dark), 1e-3, 1e3))
-        r = np.clip((speckle * peak) ** 2 / dark, 0.0, 1e3)
-        r = np.log10(np.maximum(r, 1e-3))
-    k = np.clip((q + 3.0) / 6.0 * (len(ratio) - 1), 0, len(ratio) - 1.001)
-    m = np.clip((r + 3.0) / 6.0 * (len(rough) - 1), 0, len(rough) - 1.001)
-    k, m = np.nan_to_num(k), np.nan_to_num(m)
-    i, j = k.astype(np.intp), m.astype(np.intp)
-    values = _skews()[2]
-    low = values[i, j] + (k - i) * (values[i + 1, j] - values[i, j])
-    high = values[i, j + 1] + (k - i) * (values[i + 1, j + 1] - values[i, j + 1])
-    return np.asarray(low + (m - j) * (high - low))
+    last = answers.shape[0] - 1
+    q = min(max(peak / (gain * dark), 1e-3), 1e3)
+    r = min(max((speckle * peak) ** 2 / dark, 1e-3), 1e3)
+    k = min((math.log10(q) + 3.0) / 6.0 * last, last - 1e-3)
+    m = min((math.log10(r) + 3.0) / 6.0 * last, last - 1e-3)
+    i, j = int(k), int(m)
+    low = answers[i, j] + (k - i) * (answers[i + 1, j] - answers[i, j])
+    high = answers[i, j + 1] + (k - i) * (answers[i + 1, j + 1] - answers[i, j + 1])
+    return float(low + (m - j) * (high - low))
 
 
 @cache
-def _skews() -> tuple[Array, Array, Array]:
-    """Table of `answer_to_skew` over the logarithms of both ratios, -3 to 3."""
-    ratio = rough = np.linspace(-3.0, 3.0, 25)
+def skews() -> Array:
+    """Answers (25, 25) to skew over the logarithms of both ratios, -3 to 3."""
+    ratio = np.linspace(-3.0, 3.0, 25)
     u = np.linspace(-4.0, 4.0, 401)
     g = np.exp(-0.5 * u**2)
-    weight = g**2 / (1.0 + 10.0 ** ratio[:, None, None] * g + 10.0 ** rough[None, :, None] * g**2)
-    return ratio, rough, np.asarray((weight * u * (u**3 - 3.0 * u)).sum(axis=2) / (weight * u * u).sum(axis=2))
+    weight = g**2 / (1.0 + 10.0 ** ratio[:, None, None] * g + 10.0 ** ratio[None, :, None] * g**2)
+    return np.asarray((weight * u * (u**3 - 3.0 * u)).sum(axis=2) / (weight * u * u).sum(axis=2))
 
 
 def _stride(lattice: Lattice) -> tuple[int, int]:
     """Frames and lines from one point of a patch to the next."""
-    with np.errstate(invalid="ignore"):
-        spread = lattice.width * np.linalg.norm(lattice.moved, axis=2)
+    with np.errstate(invalid="ignore"):  # one line in eight says enough
+        spread = lattice.width[:, ::8] * np.linalg.norm(lattice.moved[:, ::8], axis=2)
     known = np.isfinite(spread)
     wide = SPAN * float(np.median(spread[known])) if known.any() else 1.0
     frames, lines = (wide / max(lattice.step(axis), 1e-9) / surface.HALF for axis in (0, 1))

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from calibration.geometry import Array
+from calibration.geometry import Array, Bools
 from ranging.kernels import compiled
 
 Vector: TypeAlias = tuple[float, float, float]
@@ -44,77 +44,74 @@ NEAREST = 3  # strides, to the middle of a patch beside a point that has no part
 
 
 @compiled
-def fit_patches(
-    points: Array, view: Array, sigma: Array, light: Array, stride: tuple[int, int], first: int, last: int,
-    patches: Array,
+def fit_patch(
+    points: Array, view: Array, sigma: Array, light: Array, stride: tuple[int, int], f: int, i: int, row: Row
 ) -> None:  # fmt: skip
-    """Quadratics about every point of frames ``first`` to ``last`` - 1, by least squares on the lattice.
+    """Quadratic about the point of frame ``f`` and line ``i``, by least squares on the lattice.
 
     ``points`` (F, L, 3) mm in the cloud frame, ``view`` (F, L, 3) unit rays, ``sigma`` (F, L) mm along them, NaN where there
-    is no point, ``light`` (F, L) the logarithm of the light on the line; ``patches`` (F, L, PATCH) receives the answers, CHI NaN where one of the 25 points is missing. On a grid
-    the polynomials 1, a, b, a^2 - 2, a b, b^2 - 2 are orthogonal, so that each coefficient is a sum.
+    is no point, ``light`` (F, L) the logarithm of the light on the line; ``row`` (PATCH,) receives the answers, CHI NaN where
+    one of the 25 points is missing. On a grid the polynomials 1, a, b, a^2 - 2, a b, b^2 - 2 are orthogonal, so that each
+    coefficient is a sum.
     """
     frames, lines = sigma.shape
-    for f in range(first, last):
-        for i in range(lines):
-            patches[f, i, CHI] = np.nan
-            if not sigma[f, i] > 0.0:
-                continue
-            if f - HALF * stride[0] < 0 or f + HALF * stride[0] >= frames:
-                continue
-            if i - HALF * stride[1] < 0 or i + HALF * stride[1] >= lines:
-                continue
-            e = _vector(view[f, i])
-            o = _vector(points[f, i])
-            s0 = s1 = s2 = a0 = a1 = a2 = b0 = b1 = b2 = 0.0
-            aa0 = aa1 = aa2 = ab0 = ab1 = ab2 = bb0 = bb1 = bb2 = 0.0
-            square = variance = 0.0
-            m = mm = ma = mb = 0.0
-            for a in range(-HALF, HALF + 1):
-                g = f + a * stride[0]
-                r0 = r1 = r2 = u0 = u1 = u2 = v0 = v1 = v2 = 0.0
-                for b in range(-HALF, HALF + 1):
-                    j = i + b * stride[1]
-                    x, y, z = points[g, j, 0] - o[0], points[g, j, 1] - o[1], points[g, j, 2] - o[2]
-                    h = x * e[0] + y * e[1] + z * e[2]
-                    square += h * h
-                    variance += sigma[g, j] * sigma[g, j]
-                    glow = light[g, j] - light[f, i]
-                    m, mm, ma, mb = m + glow, mm + glow * glow, ma + a * glow, mb + b * glow
-                    r0, r1, r2 = r0 + x, r1 + y, r2 + z
-                    u0, u1, u2 = u0 + b * x, u1 + b * y, u2 + b * z
-                    c = b * b - 2
-                    v0, v1, v2 = v0 + c * x, v1 + c * y, v2 + c * z
-                c = a * a - 2
-                s0, s1, s2 = s0 + r0, s1 + r1, s2 + r2
-                a0, a1, a2 = a0 + a * r0, a1 + a * r1, a2 + a * r2
-                b0, b1, b2 = b0 + u0, b1 + u1, b2 + u2
-                aa0, aa1, aa2 = aa0 + c * r0, aa1 + c * r1, aa2 + c * r2
-                ab0, ab1, ab2 = ab0 + a * u0, ab1 + a * u1, ab2 + a * u2
-                bb0, bb1, bb2 = bb0 + v0, bb1 + v1, bb2 + v2
-            if not square + variance < 1e12:  # a point is missing
-                continue
-            square -= _dot((s0, s1, s2), e) ** 2 / 25.0
-            square -= (_dot((a0, a1, a2), e) ** 2 + _dot((b0, b1, b2), e) ** 2) / 50.0
-            square -= (_dot((aa0, aa1, aa2), e) ** 2 + _dot((bb0, bb1, bb2), e) ** 2) / 70.0
-            square -= _dot((ab0, ab1, ab2), e) ** 2 / 100.0
-            row = patches[f, i]
-            for k, value in enumerate((
-                s0 / 25.0 - (aa0 + bb0) / 35.0, s1 / 25.0 - (aa1 + bb1) / 35.0, s2 / 25.0 - (aa2 + bb2) / 35.0,
-                a0 / 50.0, a1 / 50.0, a2 / 50.0, b0 / 50.0, b1 / 50.0, b2 / 50.0, aa0 / 35.0, aa1 / 35.0, aa2 / 35.0,
-                ab0 / 100.0, ab1 / 100.0, ab2 / 100.0, bb0 / 35.0, bb1 / 35.0, bb2 / 35.0,
-            )):  # fmt: skip
-                row[k] = value
-            row[0], row[1], row[2] = row[0] + o[0], row[1] + o[1], row[2] + o[2]
-            row[CHI] = max(square, 0.0) / FREEDOM / (variance / 25.0)
-            row[LIGHT_F], row[LIGHT_L] = ma / 50.0, mb / 50.0
-            row[LIGHT_NOISE] = max(mm - m * m / 25.0 - (ma * ma + mb * mb) / 50.0, 0.0) / 22.0
+    row[CHI] = np.nan
+    if not sigma[f, i] > 0.0:
+        return
+    if f - HALF * stride[0] < 0 or f + HALF * stride[0] >= frames:
+        return
+    if i - HALF * stride[1] < 0 or i + HALF * stride[1] >= lines:
+        return
+    e = _vector(view[f, i])
+    o = _vector(points[f, i])
+    s0 = s1 = s2 = a0 = a1 = a2 = b0 = b1 = b2 = 0.0
+    aa0 = aa1 = aa2 = ab0 = ab1 = ab2 = bb0 = bb1 = bb2 = 0.0
+    square = variance = 0.0
+    m = mm = ma = mb = 0.0
+    for a in range(-HALF, HALF + 1):
+        g = f + a * stride[0]
+        r0 = r1 = r2 = u0 = u1 = u2 = v0 = v1 = v2 = 0.0
+        for b in range(-HALF, HALF + 1):
+            j = i + b * stride[1]
+            x, y, z = points[g, j, 0] - o[0], points[g, j, 1] - o[1], points[g, j, 2] - o[2]
+            h = x * e[0] + y * e[1] + z * e[2]
+            square += h * h
+            variance += sigma[g, j] * sigma[g, j]
+            glow = light[g, j] - light[f, i]
+            m, mm, ma, mb = m + glow, mm + glow * glow, ma + a * glow, mb + b * glow
+            r0, r1, r2 = r0 + x, r1 + y, r2 + z
+            u0, u1, u2 = u0 + b * x, u1 + b * y, u2 + b * z
+            c = b * b - 2
+            v0, v1, v2 = v0 + c * x, v1 + c * y, v2 + c * z
+        c = a * a - 2
+        s0, s1, s2 = s0 + r0, s1 + r1, s2 + r2
+        a0, a1, a2 = a0 + a * r0, a1 + a * r1, a2 + a * r2
+        b0, b1, b2 = b0 + u0, b1 + u1, b2 + u2
+        aa0, aa1, aa2 = aa0 + c * r0, aa1 + c * r1, aa2 + c * r2
+        ab0, ab1, ab2 = ab0 + a * u0, ab1 + a * u1, ab2 + a * u2
+        bb0, bb1, bb2 = bb0 + v0, bb1 + v1, bb2 + v2
+    if not square + variance < 1e12:  # a point is missing
+        return
+    square -= _dot((s0, s1, s2), e) ** 2 / 25.0
+    square -= (_dot((a0, a1, a2), e) ** 2 + _dot((b0, b1, b2), e) ** 2) / 50.0
+    square -= (_dot((aa0, aa1, aa2), e) ** 2 + _dot((bb0, bb1, bb2), e) ** 2) / 70.0
+    square -= _dot((ab0, ab1, ab2), e) ** 2 / 100.0
+    for k, value in enumerate((
+        s0 / 25.0 - (aa0 + bb0) / 35.0, s1 / 25.0 - (aa1 + bb1) / 35.0, s2 / 25.0 - (aa2 + bb2) / 35.0,
+        a0 / 50.0, a1 / 50.0, a2 / 50.0, b0 / 50.0, b1 / 50.0, b2 / 50.0, aa0 / 35.0, aa1 / 35.0, aa2 / 35.0,
+        ab0 / 100.0, ab1 / 100.0, ab2 / 100.0, bb0 / 35.0, bb1 / 35.0, bb2 / 35.0,
+    )):  # fmt: skip
+        row[k] = value
+    row[0], row[1], row[2] = row[0] + o[0], row[1] + o[1], row[2] + o[2]
+    row[CHI] = max(square, 0.0) / FREEDOM / (variance / 25.0)
+    row[LIGHT_F], row[LIGHT_L] = ma / 50.0, mb / 50.0
+    row[LIGHT_NOISE] = max(mm - m * m / 25.0 - (ma * ma + mb * mb) / 50.0, 0.0) / 22.0
 
 
 @compiled
 def see_surfaces(
-    points: Array, view: Array, moved: Array, sheet: Array, camera: Array, sigma: Array,
-    stride: tuple[int, int], first: int, last: int, patches: Array, own: float, table: Array,
+    points: Array, view: Array, moved: Array, sheet: Array, camera: Array, sigma: Array, light: Array,
+    stride: tuple[int, int], first: int, last: int, patches: Array, fitted: Bools, own: float, table: Array,
 ) -> None:  # fmt: skip
     """What the surface does across the stripe at every point of frames ``first`` to ``last`` - 1.
 
@@ -124,23 +121,27 @@ def see_surfaces(
         mm; unit rays, away from the camera; mm/px, of a point's ray when its pixel moves across the stripe; unit
         normals of the sheet of light. In the cloud frame, as all that follows.
     camera : (F, 3) array, mm
-    sigma : (F, L) array, mm
-    patches : (F, L, PATCH) array
-        Of `fit_patches`, for frames up to ``NEAREST`` strides before ``first`` and after ``last`` - 1.
+    sigma, light : (F, L) arrays
+        mm; the logarithm of the light on the line.
+    patches, fitted : (F, L, PATCH) and (F, L) arrays
+        Patches of this stride, and which of them are there: each is fitted when it is first asked for.
     own : float
         What OWN becomes of points whose own patch is smooth; 0: the others are to borrow one.
-    table : (F, L, COLUMNS) array
+    table : (last - first, L, COLUMNS) array
         Receives the answers; rows that already have a smooth patch stay as they are. MISFIT says how good the patch is: where the point's own patch
         is not `SMOOTH`, a smooth patch beside it is taken, of eight the one that the point is nearest to.
     """
     frames, lines = sigma.shape
     for f in range(first, last):
         for i in range(lines):
-            row = table[f, i]
+            row = table[f - first, i]
             if not sigma[f, i] > 0.0 or row[MISFIT] < SMOOTH:
                 continue
             best_a, best_b = 0, 0
             away = 0.0
+            if not fitted[f, i]:
+                fit_patch(points, view, sigma, light, stride, f, i, patches[f, i])
+                fitted[f, i] = True
             if not patches[f, i, CHI] < SMOOTH:
                 if own > 0.0:
                     continue
@@ -153,6 +154,9 @@ def see_surfaces(
                             g, j = f + a * stride[0], i + b * stride[1]
                             if (a * b != 0) != corners or g < 0 or g >= frames or j < 0 or j >= lines:
                                 continue
+                            if not fitted[g, j]:
+                                fit_patch(points, view, sigma, light, stride, g, j, patches[g, j])
+                                fitted[g, j] = True
                             if not patches[g, j, CHI] < SMOOTH:
                                 continue
                             point, ray = _vector(points[f, i]), _vector(view[f, i])

@@ -32,7 +32,7 @@ from scope.images import Image, read_alike, shape_text
 from scope.lasers_agree import Agreement, agreements
 from scope.tally import Chunk, Scan, Tally
 
-CHUNK = 16  # frames ranged at once
+CHUNK = 24  # frames ranged at once
 FIRST = 2  # the same, of the first, so that points are seen at once
 CROSSING = 4.0  # widths (one sigma) of both stripes between their middles, within which they disturb each other
 SAMPLE = 3  # frames that tell the channel and the noise of the camera

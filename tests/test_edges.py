@@ -108,7 +108,7 @@ def test_ends_are_counted_in_frames_and_in_lines():
     depth[2, 8] = np.nan
     lattice = plate(depth)
     ends = np.full((2, 9, 12), FAR)
-    nearest_end(lattice.points, lattice.view, lattice.sigma, 0, 9, ends)
+    nearest_end(lattice.points, lattice.view, lattice.sigma, 0, 9, np.ones((9, 12), bool), ends)
     np.testing.assert_array_equal(ends[0, :, 0], [3, 2, 1, 0, 0, 1, 2, 3, 4])
     np.testing.assert_array_equal(ends[1, 2, 4:8], [3, 2, 1, 0])
     assert ends[1, 0, 0] == FAR  # the border of the image is no end
