@@ -29,7 +29,7 @@ STEEPEST = 4.0  # rise over run, along the ray, beyond which neighbours are not 
 FAR = 9
 HALF = 0.8  # mean of half a Gaussian, in its standard deviations
 HIDDEN = 0.3  # of the difference that half a stripe would cause: beyond, a point is no part of a result
-LEFT = 0.2  # of the difference of two answers: what their mean still errs by
+LEFT = 0.3  # of the difference of two answers: what their mean still errs by
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,9 +58,9 @@ def refine(lattice: Lattice, first: int, last: int, exposures: Sequence[Exposure
     Returns
     -------
     Refined
-        A point of a smooth patch is corrected for its slope. Other points beside such a patch, or near the end of their
-        surface, are measured a second time, by the passage of the sheet, and the two answers joined; where they are too far
-        apart, or the surface ends within ``LINES`` lines, the reason is EDGE. Without a second answer it is EDGE where the
+        A point of a smooth patch is corrected for its slope. Other points are measured a second time, by the passage of the
+        sheet. Where the two answers are too far apart, or the surface ends within ``LINES`` lines, the reason is EDGE; else
+        they are joined, but for points of a rough surface on which they agree. Without a second answer it is EDGE where the
         point lies off the patch beside it, and, if there is no patch, where the surface ends within ``FRAMES``
         frames or ``LINES`` lines. In a capture without motion, and of a single frame, nothing is corrected or rejected.
     """
@@ -80,12 +80,12 @@ def refine(lattice: Lattice, first: int, last: int, exposures: Sequence[Exposure
         at_end = (ends[0] < FRAMES) | (ends[1] < LINES)
         cut = np.where(belongs, np.abs(fit[..., surface.AWAY]) > AWAY, at_end) | (ends[0] < 1) | (ends[1] < 1)
         if len(exposures) and found.beam.width > 0.0:
-            doubtful = suspect & (belongs | at_end) & (reason == Reason.RANGED)
-            second = measure_again(lattice, found, exposures, doubtful, first, last)
+            second = measure_again(lattice, found, exposures, suspect & (reason == Reason.RANGED), first, last)
             known = np.isfinite(second.offset)
-            weight = second.weight
-            points -= np.where(known, second.weight * second.offset / steep, 0.0)[..., None] * view
-            sigma = np.where(known, second.sigma / np.abs(steep), sigma)
+            joined = known & (belongs | at_end | second.unlike)
+            weight = np.where(joined, second.weight, 0.0)
+            points -= np.where(joined, weight * second.offset / steep, 0.0)[..., None] * view
+            sigma = np.where(joined, second.sigma / np.abs(steep), sigma)
             cut = np.where(known, second.apart | (ends[1] < LINES), cut)
         reason[cut & (reason == Reason.RANGED)] = Reason.EDGE
     ranged = reason == Reason.RANGED
@@ -107,6 +107,7 @@ class Second:
     offset: Array  # mm along the sheet's normal: the surface lies so far before the sheet at the point's pixel
     weight: Array  # of this answer, beside the first
     sigma: Array  # mm along the sheet's normal, of both answers joined
+    unlike: Bools  # the answers differ by more than their noise
     apart: Bools  # the answers differ by more than an edge may explain that hides a small part of the stripe
 
 
@@ -135,7 +136,7 @@ def measure_again(
         apart = gap > HIDDEN * HALF * (sheet + blur) + 2.0 * spread
         noise = np.hypot((1.0 - weight) * own, weight * passed.sigma)
         sigma = np.hypot(noise, LEFT * np.maximum(gap - spread, 0.0))
-    return Second(passed.offset, weight, sigma, apart)
+    return Second(passed.offset, weight, sigma, gap > 3.0 * spread, apart)
 
 
 @compiled

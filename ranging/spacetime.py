@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -39,7 +38,7 @@ class Exposure:
 
     image: Image  # (rows, columns) the stripe's channel
     dark: Image | None  # the same with the laser off
-    along: Literal["rows", "columns"]
+    along: str  # "rows" or "columns": the axis of the image along which the stripe runs
     saturation: float  # grey level at which the camera clips
     cloud_from_c: Pose
     slide: Array  # (L, 3) mm/px, of the ray at the frame's points when the pixel moves along the stripe; cloud frame
