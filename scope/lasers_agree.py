@@ -13,8 +13,8 @@ from scope.mesh import lattice_index
 from scope.normals import lattice_spacing
 
 _LEAST = 8  # points of each laser in a cell
-_FLAT = 0.01  # of the cell: rms about its plane, beyond three sigma, above which its curvature would not cancel
-_ROUND = 0.2  # least ratio of the two extents within the plane
+_SMOOTH = 4.0  # chi squared a degree of freedom of a cell's surface: beyond, an edge or roughness runs through it
+_SHAKY = 0.02  # of the cell: standard deviation of a step, beyond which the cell's points do not determine it
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,19 +38,19 @@ def agreements(cloud: ScanCloud, *, cell: float | None = None) -> tuple[Agreemen
     cloud : ScanCloud
         Of several lasers; of one, there is nothing to compare.
     cell : float, optional
-        Edge of the cells, mm; by default five times the larger spacing of the points.
+        Edge of the cells, mm; by default four times the larger spacing of the points.
 
     Returns
     -------
     tuple of Agreement
-        In a cell, both lasers' points are given one common orientation (total least squares about their own means); the
-        distance between the means along its normal is the disagreement. Curvature cancels as far as both lasers sample
-        the cell alike; cells that are not flat, or that one laser only grazes in a line, do not count.
+        In a cell, one quadratic surface is fitted to the points of both lasers, with a step between them: the step is the
+        disagreement. Cells on which the points lie on no such surface, or that do not determine the step, do not
+        count.
     """
     present = [int(k) for k in np.unique(cloud.laser)]
     if len(present) < 2:
         return ()
-    size = cell or 5.0 * max(_spacing(cloud.select(cloud.laser == k)) for k in present)
+    size = cell or 4.0 * max(_spacing(cloud.select(cloud.laser == k)) for k in present)
     if size <= 0.0:
         return ()
     return tuple(_compare(cloud, a, b, size) for a, b in combinations(present, 2))
@@ -61,43 +61,59 @@ def _compare(cloud: ScanCloud, first: int, second: int, size: float) -> Agreemen
     owner = (chosen.laser == second).astype(np.int64)
     label = _cells(chosen.points, size)
     cells = int(label.max(initial=-1)) + 1
-    slot = 2 * label + owner  # both lasers of a cell lie side by side
-    count = np.bincount(slot, minlength=2 * cells).astype(np.float64)
-    origin = chosen.points.mean(axis=0)
-    local = chosen.points - origin
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.stack([np.bincount(slot, local[:, k], 2 * cells) for k in range(3)], axis=1) / count[:, None]
-    left = local - mean[slot]
-    scatter = np.empty((cells, 3, 3))
-    for i in range(3):
-        for j in range(i, 3):
-            scatter[:, i, j] = scatter[:, j, i] = np.bincount(label, left[:, i] * left[:, j], cells)
-    both = np.flatnonzero(count.reshape(-1, 2).min(axis=1, initial=np.inf) >= _LEAST)
-    spread, axes = np.linalg.eigh(scatter[both])
-    total = count.reshape(-1, 2)[both].sum(axis=1)
-    spread = np.sqrt(np.maximum(spread, 0) / total[:, None])
-    gap = mean.reshape(-1, 2, 3)[both]
-    gap = gap[:, 1] - gap[:, 0]
-    normal = axes[:, :, 0] * np.where(axes[:, 2:, 0] > 0, -1.0, 1.0)  # the camera looks along +z
-    off = np.einsum("ni,ni->n", gap, normal)
-    beside = np.linalg.norm(gap - off[:, None] * normal, axis=1)
-    noise = np.bincount(label, chosen.sigma.astype(np.float64) ** 2, cells)[both] / total
-    use = (
-        (spread[:, 0] < 3.0 * np.sqrt(noise) + _FLAT * size)
-        & (spread[:, 1] > _ROUND * spread[:, 2])
-        & (beside < 0.25 * size)
+    each = np.bincount(2 * label + owner, minlength=2 * cells).reshape(-1, 2)
+    keep = (each.min(axis=1, initial=np.iinfo(np.int64).max) >= _LEAST)[label]
+    names = cloud.laser_names[first], cloud.laser_names[second]
+    if not keep.any():
+        return Agreement(*names, 0, *[float("nan")] * 4)
+    chosen, owner = chosen.select(keep), owner[keep]
+    label = np.unique(label[keep], return_inverse=True)[1].astype(np.int64)
+    step, own, misfit = _steps(chosen, owner, label, size)
+    shared = sum(
+        np.bincount(label[owner == k], chosen.sigma_cal[owner == k].astype(np.float64) ** 2)
+        / np.bincount(label[owner == k])
+        for k in (0, 1)
     )
-    names = cloud.laser_names
+    with np.errstate(invalid="ignore"):
+        use = (misfit < _SMOOTH) & (own < (_SHAKY * size) ** 2)
     if not use.any():
-        return Agreement(names[first], names[second], 0, *[float("nan")] * 4)
-    own = np.bincount(slot, chosen.sigma.astype(np.float64) ** 2, 2 * cells) / count.clip(1) ** 2
-    shared = np.bincount(slot, chosen.sigma_cal.astype(np.float64) ** 2, 2 * cells) / count.clip(1)
-    expected = (own + shared).reshape(-1, 2)[both].sum(axis=1)[use]
-    off = off[use]
+        return Agreement(*names, 0, *[float("nan")] * 4)
+    step, expected = step[use], (own + shared)[use]
     return Agreement(
-        names[first], names[second], len(off), float(off.mean()), float(np.sqrt((off**2).mean())),
-        float(np.sqrt(expected.mean())), float((off**2 > 9.0 * expected).mean()),
+        *names, len(step), float(step.mean()), float(np.sqrt((step**2).mean())), float(np.sqrt(expected.mean())),
+        float((step**2 > 9.0 * expected).mean()),
     )  # fmt: skip
+
+
+def _steps(cloud: ScanCloud, owner: Ints, label: Ints, size: float) -> tuple[Array, Array, Array]:
+    """Step (M,) mm from the first laser's surface to the second's in M cells, its variance from noise, and the misfit.
+
+    The surface is h = q(a, b) + step, in axes of the cell's own least squares plane, h towards the camera; q is quadratic.
+    Points weigh by their noise, which lies along the sighting ray: on a steep surface it counts by its part along the normal.
+    """
+    cells = int(label.max()) + 1
+    count = np.bincount(label, minlength=cells)
+
+    def sums(values: Array) -> Array:
+        return np.stack([np.bincount(label, column, cells) for column in values.T], axis=1)
+
+    local = cloud.points - (sums(cloud.points - cloud.points[0]) / count[:, None] + cloud.points[0])[label]
+    spread = sums((local[:, :, None] * local[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
+    axes = np.linalg.eigh(spread)[1].transpose(0, 2, 1)  # rows; the first is the normal
+    axes[:, 0] *= np.where(axes[:, 0, 2:] > 0, -1.0, 1.0)  # the camera looks along +z
+    h, a, b = np.einsum("nij,nj->in", axes[label], local) / size
+    terms = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b, owner.astype(np.float64)], axis=1)
+    noise = np.maximum(cloud.sigma.astype(np.float64) * np.abs(axes[label, 0, 2]), 1e-9) / size
+    weighted = terms / noise[:, None] ** 2
+    n = terms.shape[1]
+    normal = sums((weighted[:, :, None] * terms[:, None, :]).reshape(-1, n * n)).reshape(-1, n, n)
+    scale = np.sqrt(np.einsum("cii->ci", normal))
+    normal = normal / (scale[:, :, None] * scale[:, None, :]) + 1e-10 * np.eye(n)
+    inverse = np.linalg.inv(normal) / (scale[:, :, None] * scale[:, None, :])
+    found = np.einsum("cij,cj->ci", inverse, sums(weighted * h[:, None]))
+    left = (h - np.einsum("ni,ni->n", terms, found[label])) / noise
+    misfit = np.bincount(label, left**2, cells) / np.maximum(count - n, 1)
+    return found[:, -1] * size, inverse[:, -1, -1] * size**2 * np.maximum(misfit, 1.0), misfit
 
 
 def _cells(points: Array, size: float) -> Ints:
