@@ -56,6 +56,9 @@ class Domain:
         """Coordinates (N, 2) and their derivatives by (u, v), (N, 2, 2)."""
         q, w = _project(self.homography, pixels)
         h = self.homography
+        if h[2, 0] == 0.0 and h[2, 1] == 0.0:  # the same everywhere
+            constant = h[:2, :2] / h[2, 2] / self.half[:, None]
+            return (q - self.centre) / self.half, np.broadcast_to(constant, (len(q), 2, 2))
         jacobian = (h[None, :2, :2] - q[:, :, None] * h[None, 2:, :2]) / w[:, None, None]
         return (q - self.centre) / self.half, jacobian / self.half[:, None]
 

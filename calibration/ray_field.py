@@ -74,9 +74,13 @@ class RayField:
         """Derivatives (N, 2, 2) mm/px of `crossing` by (u, v)."""
         square, by_pixel = self.domain.square_and_jacobian(pixels)
         _, by_s, by_t = _series(self).values_and_slopes(square)
-        by_square = np.stack([by_s, by_t])  # (s or t, x and y of B then of A, N)
-        moved = by_square[:, :2] * ((depth - self.pivot) / self.reach) + by_square[:, 2:]
-        return np.asarray(np.matmul(moved.transpose(2, 1, 0), by_pixel))
+        lever = (depth - self.pivot) / self.reach
+        found = np.empty((len(pixels), 2, 2))
+        for k in range(2):  # x and y; B's functions come first, then A's
+            in_s, in_t = by_s[k] * lever + by_s[2 + k], by_t[k] * lever + by_t[2 + k]
+            for j in range(2):
+                found[:, k, j] = in_s * by_pixel[:, 0, j] + in_t * by_pixel[:, 1, j]
+        return found
 
     def sigma_at(self, pixels: Array, depth: Array) -> Array:
         """Standard deviation (N,) mm of one coordinate of `crossing`, from the noise of the marks alone."""

@@ -58,7 +58,11 @@ class TwoPlaneCamera:
     def shift(self, pixels: Array, points: Array) -> Array:
         """Movement (N, 3, 2) mm/px, across depth, of points on the rays of pixels when the pixel moves."""
         across = self.field.jacobian(pixels, self.field.depth(points))
-        return np.asarray(self.field.c_from_d[:, :2] @ across)
+        turn = self.field.c_from_d
+        moved = np.zeros((len(across), 3, 2))
+        for i, j in zip(*np.nonzero(turn[:, :2]), strict=True):  # two of six where depth is z
+            moved[:, i] += turn[i, j] * across[:, j]
+        return moved
 
     def sigma_at(self, pixels: Array, points: Array) -> Array:
         """Standard deviation (N,) mm of the rays across depth at points (N, 3), from the noise of the marks."""
