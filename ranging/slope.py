@@ -13,8 +13,9 @@ S^2 = s0^2 + c^2, and leaves h1 s0 and h3 s0^3 as they are. A weighted least squ
     s0 h1 + rho s0 (s0 / S)^2 h3,
 
 rho being the answer of the fit to He3: 0 where shot noise rules the weights, -3/2 where they are even. The blur also acts
-along the stripe: where the stripe is curved or its light M grows along it, a line receives its neighbours' light, which adds
-c^2 (v'' / 2 + v' M' / M), v(u) being the stripe's course.
+along the stripe: where the stripe is curved or its light M grows along it, a line receives its neighbours' light, which moves
+its mean by c^2 (v'' / 2 + v' M' / M), v(u) being the stripe's course, and skews it by a third cumulant of 3 c^4 v'^2 v'', to
+which a fit answers with rho / (6 S^2) of it, S^2 = s0^2 + c^2 (1 + v'^2).
 """
 
 from __future__ import annotations
@@ -66,7 +67,8 @@ class Slopes:
     sheet: Array  # mm, one sigma of the sheet of light at the point
     profile: Array  # displacement of the profile on its line
     passage: Array  # displacement that the passage of the sheet (`ranging.spacetime`) has in its place
-    noise: Array  # of both displacements, one standard deviation
+    beside: Array  # part of both that comes from the lines beside
+    noise: Array  # of the rest of both, one standard deviation
     variance: Array  # of a position, from which the displacement is to be taken off
 
     def correction(self, weight: Array | float = 0.0) -> tuple[Array, Array]:
@@ -77,12 +79,13 @@ class Slopes:
         """
         full = self.profile + weight * (self.passage - self.profile)
         known = np.isfinite(full)
-        full = np.where(known, full, 0.0)
+        beside = np.where(known, self.beside, 0.0)
+        full = np.where(known, full - beside, 0.0)
         noise = np.where(known, self.noise * (1.0 - weight), 0.0)
         with np.errstate(invalid="ignore"):
             share = np.where(known, self.variance / (self.variance + noise**2), 0.0)
-        left = np.hypot((1.0 - share) * full, DOUBT * full)
-        return share * full, np.hypot(left, share * noise)
+        left = np.hypot((1.0 - share) * full, DOUBT * (full + beside))
+        return share * full + beside, np.hypot(left, share * noise)
 
 
 def slopes(lattice: Lattice, first: int, last: int) -> Slopes:
@@ -109,8 +112,8 @@ def slopes(lattice: Lattice, first: int, last: int) -> Slopes:
     some = slice(None, None, SAMPLE)
     beam = estimate_beam(table[:, some], asked.width[:, some], course[:, some, 0], distance[:, some])
     sheet = beam.width_at(distance)
-    profile, passage, noise = displacement(table, course, sheet, beam.blur, asked)
-    return Slopes(moves, table, beam, sheet, profile, passage, noise, asked.sigma_px**2)
+    profile, passage, beside, noise = displacement(table, course, sheet, beam.blur, asked)
+    return Slopes(moves, table, beam, sheet, profile, passage, beside, noise, asked.sigma_px**2)
 
 
 def _surfaces(lattice: Lattice, first: int, last: int, moves: bool) -> Array:
@@ -137,17 +140,20 @@ def _surfaces(lattice: Lattice, first: int, last: int, moves: bool) -> Array:
 
 def displacement(
     table: Array, course: Array, width: Array, blur: float, lattice: Lattice
-) -> tuple[Array, Array, Array]:
-    """Displacement of the profile, of the passage, and their noise, (F, L) px each; NaN where first order does not hold."""
-    profile, passage, noise = (np.empty(width.shape) for _ in range(3))
-    _displace(table, course, width, blur, lattice.peak, lattice.noise, skews(), profile, passage, noise)
-    return profile, passage, noise
+) -> tuple[Array, Array, Array, Array]:
+    """Displacement of the profile, of the passage, the part of both from the lines beside, and the noise of the rest.
+
+    (F, L) px each; NaN where first order does not hold.
+    """
+    found = np.empty((4, *width.shape))
+    _displace(table, course, width, blur, lattice.peak, lattice.noise, skews(), *found)
+    return found[0], found[1], found[2], found[3]
 
 
 @compiled
 def _displace(
     table: Array, course: Array, width: Array, blur: float, peak: Array, camera: Array, answers: Array,
-    profile: Array, passage: Array, noise: Array,
+    profile: Array, passage: Array, beside: Array, noise: Array,
 ) -> None:  # fmt: skip
     for f in range(width.shape[0]):
         gain, dark, speckle = camera[f, 0], camera[f, 1], camera[f, 2]
@@ -158,13 +164,15 @@ def _displace(
             s0 = width[f, i] / abs(a)
             h3 = -0.5 * b * s0 / a
             h1 = g * s0 + 3.0 * h3
-            profile[f, i] = passage[f, i] = noise[f, i] = np.nan
+            profile[f, i] = passage[f, i] = beside[f, i] = noise[f, i] = np.nan
             if not (row[surface.MISFIT] < surface.SMOOTH and abs(h1) < STEEP and abs(h3) < STEEP):
                 continue
-            beside = blur * (0.5 * bow + tilt * growth)
             rho = answer_to_skew(peak[f, i], gain, dark, speckle, answers)
-            profile[f, i] = s0 * h1 + rho * s0 * h3 * s0**2 / (s0**2 + blur * (1.0 + tilt**2)) + beside
-            passage[f, i] = beside - (blur + TAPS) * (g + 0.5 * b / a)
+            square = s0**2 + blur * (1.0 + tilt**2)
+            lines = blur * (0.5 * bow + tilt * growth + 0.5 * rho * blur * tilt**2 * bow / square)
+            beside[f, i] = lines
+            profile[f, i] = s0 * h1 + rho * s0 * h3 * s0**2 / square + lines
+            passage[f, i] = lines - (blur + TAPS) * (g + 0.5 * b / a)
             noise[f, i] = s0**2 * row[surface.NOISE]
 
 
