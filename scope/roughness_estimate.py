@@ -58,8 +58,9 @@ class Evidence:
         second = first if noise.second is None else smooth(noise.second)
         slope_noise = np.zeros(2)
         if noise.source == "sigma":
-            draw = noise.floor * rng.standard_normal(z.shape)
-            draw[~heights.known] = np.nan
+            draw = noise.sample
+            if draw is None:
+                draw = np.where(heights.known, noise.floor * rng.standard_normal(z.shape), np.nan)
             slope_noise = gradient_products(smooth(draw), smooth(draw), pitch)
         return cls(
             z=z,

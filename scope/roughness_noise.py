@@ -27,6 +27,7 @@ class Noise:
     floor: float  # mm, rms of the noise of the heights; NaN where unknown
     trust: float  # relative standard uncertainty of the floor that averaging does not remove
     second: Array | None = None  # (rows, columns) mm, the repeat on the lattice of the first scan
+    sample: Array | None = None  # (rows, columns) mm, noise alone behind the filters of the map; None: white
     displacement: float = math.nan  # mm by which the repeat's sampling lies displaced
     correlation: float = math.nan  # of the two scans
     notes: tuple[str, ...] = ()
@@ -117,7 +118,9 @@ def repeat_noise(first: HeightMap, repeat: HeightMap, *, stripe_width: float = m
             f"warning: the repeat is displaced by less than a stripe's width ({width:.3g} mm): speckle and pixel phase "
             "recur in it, so the noise floor is temporal noise only"
         )
-    return Noise("repeat", floor, 0.0, moved, displacement, correlation, tuple(notes))
+    return Noise(
+        "repeat", floor, 0.0, second=moved, displacement=displacement, correlation=correlation, notes=tuple(notes)
+    )
 
 
 def independent_products(z: Array, pitch: tuple[float, float]) -> float:

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.geometry import Array
-from scope.heightmap_filter import gaussian
+from scope.heightmap_filter import ALPHA, gaussian
 
 # Setting classes of ISO 21920-3: up to this mean element width (mm), this nesting index of the L-filter (mm).
 _CLASSES: tuple[tuple[float, float], ...] = ((0.04, 0.08), (0.13, 0.25), (0.4, 0.8), (1.3, 2.5), (math.inf, 8.0))
 SECTIONS = 5  # section lengths in an evaluation length (ISO 21920-3)
 DISCRIMINATION = 0.10  # of Rz: a hill or dale lower than this is none (ISO 21920-2)
+_FEWEST = 2  # section lengths that a cut-off found by itself must leave
 _MOST_PROFILES = 200  # whose elements are looked at one by one
 
 
@@ -34,12 +35,13 @@ class Profiles:
         return max(1, round(self.cutoff / self.pitch))
 
 
-def roughness_profiles(z: Array, pitch: float, cutoff: float | None = None) -> Profiles:
+def roughness_profiles(z: Array, pitch: float, cutoff: float | None = None, *, noise: float = 0.0) -> Profiles:
     """Take the mean line off primary profiles (profiles, samples) mm sampled at ``pitch`` mm.
 
     The evaluation length is the middle of the map, in five sections of one nesting index, or as many as fit. Without a
-    ``cutoff`` (mm) it is that of ISO 21920-3 for the mean width of the elements, or the longest of that table of which
-    five sections fit where this is shorter.
+    ``cutoff`` (mm) it is that of ISO 21920-3 for the mean width of the elements, or the longest of that table that fits
+    twice where this is shorter: fewer sections than five cost certainty, a cut-off that is too short costs roughness.
+    ``noise`` (mm rms, 0 for none) is smoothed away before the elements' width is taken.
 
     Raises
     ------
@@ -47,7 +49,7 @@ def roughness_profiles(z: Array, pitch: float, cutoff: float | None = None) -> P
         A cut-off longer than the profiles or shorter than two samples.
     """
     length = z.shape[1] * pitch
-    index = _default_cutoff(z, pitch) if cutoff is None else cutoff
+    index = _default_cutoff(z, pitch, noise) if cutoff is None else cutoff
     if not 2.0 * pitch <= index <= length:
         raise ValueError(f"a cut-off of {index:g} mm does not fit profiles of {length:.3g} mm at {pitch:.3g} mm")
     smooth = gaussian(z, (1.0, pitch), (0.0, index))
@@ -153,19 +155,33 @@ def _section_heights(z: Array, section: int) -> Array:
     return np.asarray(np.divide(total, good.sum(axis=1), out=np.full(len(z), np.nan), where=good.any(axis=1)))
 
 
-def _default_cutoff(z: Array, pitch: float) -> float:
+def _default_cutoff(z: Array, pitch: float, noise: float) -> float:
     length = float(z.shape[1] * pitch)
-    fitting = [index for _, index in _CLASSES if 4.0 * pitch <= index <= length / SECTIONS]
+    fitting = [index for _, index in _CLASSES if 4.0 * pitch <= index <= length / _FEWEST]
     if not fitting:
         return max(4.0 * pitch, length / SECTIONS) if length >= 4.0 * pitch else length
     widths = []
-    for row in range(0, len(z), max(1, len(z) // 50)):
-        profile = z[row] - np.nanmean(z[row]) if np.isfinite(z[row]).any() else z[row]
-        threshold = DISCRIMINATION * float(np.ptp(profile[np.isfinite(profile)])) if np.isfinite(profile).any() else 0.0
-        widths.append(elements(profile, pitch, threshold)[0])
+    for profile in _calmed(z[:: max(1, len(z) // 50)], noise):
+        if np.isfinite(profile).any():
+            profile = profile - np.nanmean(profile)
+            widths.append(elements(profile, pitch, DISCRIMINATION * float(np.nanmax(profile) - np.nanmin(profile)))[0])
     found = np.array(widths)[np.isfinite(widths)]
     if len(found) == 0:
         return fitting[-1]
     width = float(np.median(found))
     wanted = next(index for limit, index in _CLASSES if width <= limit)
     return min(max(wanted, fitting[0]), fitting[-1])
+
+
+def _calmed(z: Array, noise: float) -> Array:
+    """Profiles (N, samples) mm behind the shortest Gaussian that leaves white noise (mm rms) a hundredth of the variance.
+
+    A smoothed wave keeps its width, which noise would cut to pieces.
+    """
+    smooth, index = z, 2.0
+    left = noise**2
+    while left > 0.01 * float(np.nanvar(smooth)) and index < z.shape[1] / 8.0:
+        smooth = np.where(np.isfinite(z), gaussian(z, (1.0, 1.0), (0.0, index)).z, np.nan)
+        left = noise**2 / (math.sqrt(2.0) * ALPHA * index)  # the integral of the squared weights
+        index *= 1.5
+    return smooth
