@@ -17,7 +17,7 @@ from calibration.reason import Reason
 from ranging import surface
 from ranging.kernels import compiled
 from ranging.lattice import Lattice
-from ranging.slope import correct
+from ranging.slope import correct, footprint
 
 AWAY = 4.0  # standard deviations from the nearest smooth patch, beyond which a point belongs to none
 FRAMES, LINES = 3, 2  # distances from the end of the surface at which a point that belongs to no patch is kept
@@ -33,6 +33,8 @@ class Refined:
     position: Array  # (n, L) px
     sigma: Array  # (n, L) mm along the ray
     reason: Codes  # (n, L)
+    footprint: Array  # (n, L) mm, one sigma of the stripe on the surface; NaN where unknown
+    corrected: Array  # (n, L) share (0 to 1) of what slope and curvature displaced that was taken off
 
 
 def refine(lattice: Lattice, first: int, last: int) -> Refined:
@@ -74,9 +76,10 @@ def refine(lattice: Lattice, first: int, last: int) -> Refined:
         points -= shift[..., None] * (moved - along[..., None] * view)
         sigma = np.hypot(sigma, np.where(ranged, found.sigma[rows], 0.0) * np.abs(along))
     position -= shift
-    for values in (points, position, sigma):
+    across, corrected = footprint(found, lattice)[rows], found.share[rows].copy()
+    for values in (points, position, sigma, across, corrected):
         values[~ranged] = np.nan
-    return Refined(points, position, sigma, reason)
+    return Refined(points, position, sigma, reason, across, corrected)
 
 
 @compiled

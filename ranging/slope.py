@@ -24,7 +24,7 @@ from functools import cache
 
 import numpy as np
 
-from calibration.geometry import Array
+from calibration.geometry import Array, fit_plane
 from ranging import surface
 from ranging.course import follow
 from ranging.lattice import Lattice
@@ -61,6 +61,7 @@ class Correction:
     width: Array  # (F, L) px, that the stripe should have there; NaN where the surface is not known
     table: Array  # (F, L, surface.COLUMNS)
     beam: Beam
+    share: Array  # (F, L) of the displacement that ``shift`` is; 0 where it is not known
 
 
 def correct(lattice: Lattice, first: int, last: int) -> Correction:
@@ -90,7 +91,7 @@ def correct(lattice: Lattice, first: int, last: int) -> Correction:
     share = np.where(known, variance / (variance + noise**2), 0.0)
     full = np.where(known, shift, 0.0)
     left = np.hypot((1.0 - share) * full, DOUBT * full)
-    return Correction(share * full, np.where(known, np.hypot(left, share * noise), 0.0), width, table, beam)
+    return Correction(share * full, np.where(known, np.hypot(left, share * noise), 0.0), width, table, beam, share)
 
 
 def _surfaces(lattice: Lattice, light: Array, first: int, last: int) -> Array:
@@ -173,6 +174,23 @@ def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> B
     square = max(float(found[0]), 1e-6)
     blur = float(np.clip(found[2], 1.0 / 12.0, None))
     return Beam(float(np.sqrt(square / usual)), float(np.clip(found[1] / square, -1.0, 3.0)), middle, blur)
+
+
+def footprint(found: Correction, lattice: Lattice) -> Array:
+    """One sigma of the stripe on the surface (F, L), mm, in the direction in which its pixels cross it.
+
+    The measured width without the lens's blur, in pixels, times how far a pixel moves on the surface. NaN where the surface
+    is not known; where next to none of it is, as on a rough part alone, the plane through all points stands for it.
+    """
+    normal = found.table[..., surface.NORMAL : surface.NORMAL + 3]
+    seen = np.isfinite(lattice.sigma)
+    if lattice.moves and np.count_nonzero(np.isfinite(normal[..., 0])) < 0.05 * np.count_nonzero(seen):
+        plane = fit_plane(lattice.points[seen])
+        normal = np.broadcast_to(plane.normal, normal.shape)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rise = np.einsum("fli,fli->fl", normal, lattice.moved) / np.einsum("fli,fli->fl", normal, lattice.view)
+        stride = np.linalg.norm(lattice.moved - rise[..., None] * lattice.view, axis=2)
+        return np.asarray(np.sqrt(np.maximum(lattice.width**2 - found.beam.blur, 0.0)) * stride)
 
 
 def answer_to_skew(peak: Array, gain: Array, dark: Array, speckle: Array) -> Array:

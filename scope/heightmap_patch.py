@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,6 +75,8 @@ def patch_heights(cloud: ScanCloud, region: Region | None = None) -> HeightMap:
         sigma=spread,
         points=points,
         origin=(int(part.frame.min()), int(lattice_lines(part).min())),
+        stripe_width=_of_laser(part.stripe_width, part, math.nan),
+        stripe_corrected=_of_laser(part.stripe_corrected, part, 0.0),
         form="plane",
         notes=notes,
     )
@@ -133,6 +136,12 @@ def _selected(cloud: ScanCloud, region: Region | None) -> tuple[ScanCloud, tuple
             "scan with smaller steps"
         )
     return cloud.select(inside), notes
+
+
+def _of_laser(values: tuple[float, ...], part: ScanCloud, unknown: float) -> float:
+    """What a cloud tells of the laser of a part."""
+    laser = int(part.laser[0])
+    return values[laser] if laser < len(values) else unknown
 
 
 def _thinned(index: Ints) -> Ints:

@@ -26,6 +26,7 @@ from scope.roughness_texture import Autocorrelation
 
 LARGEST_PLAUSIBLE = 10.0  # mm rms about the form: beyond, it is no roughness but a shape or a wrong unit
 _LARGEST_OF_PATCH = 0.2  # of the patch's shorter side: beyond, likewise
+_WIDE_STRIPE = 0.02  # of Sq that its width averages away
 _SMALL_PATCH = 40.0  # correlation lengths on a side, for 10 %
 
 
@@ -37,7 +38,7 @@ class RoughnessOptions:
     s_filter: float | None = None  # mm, areal S-filter; None: the pitch and the stripe are the only S-filter
     l_filter: float | None = None  # mm, areal L-filter and cut-off of the profiles; None: S-F surface, ISO 21920-3
     model: Mesh | None = None  # the CAD surface, in the cloud frame, in place of a form
-    stripe_width: float = math.nan  # mm, one sigma of the stripe's profile on the surface; NaN: not known
+    stripe_width: float = math.nan  # mm, one sigma of the stripe on the surface; NaN: what the cloud tells
     sigma_trust: float = SIGMA_TRUST  # relative standard uncertainty of the points' sigma
     uncertainty: bool = True  # False saves the time of it
     edges: bool = False  # True: a patch that straddles an edge is measured all the same
@@ -130,14 +131,14 @@ def measure_heights(
     options = options or RoughnessOptions()
     rng = rng or np.random.default_rng(0)
     formed = _formed(heights, options)
+    width = formed.stripe_width if math.isnan(options.stripe_width) else options.stripe_width
     if repeat is None:
         known = predicted_noise(formed, trust=options.sigma_trust)
     else:
         same = replace(options, form=formed.form.split(" ")[0])
-        known = repeat_noise(formed, _formed(repeat, same), stripe_width=options.stripe_width)
+        known = repeat_noise(formed, _formed(repeat, same), stripe_width=width)
     primary, primary_noise = _filtered(formed, known, options.s_filter, None, rng)
     final, final_noise = _filtered(primary, primary_noise, None, options.l_filter, rng)
-    width = 0.0 if math.isnan(options.stripe_width) else options.stripe_width
     evidence = Evidence.gather(final, final_noise, rng, stripe_width=width)
     found = estimate(evidence)
     spread = chance(evidence, found, rng) if options.uncertainty else {}
@@ -155,8 +156,8 @@ def measure_heights(
         noise_source=final_noise.source,
         valid=sq.value is not None and (sq.uncertainty or 2.0 * trust["Sq"]) < 0.5 * sq.value,
         pitch=final.pitch,
-        bandwidth=_bandwidth(final, options, told),
-        notes=(*final.notes, *final_noise.notes, *_warnings(final, found), *told.notes),
+        bandwidth=_bandwidth(final, options, width, told),
+        notes=(*final.notes, *final_noise.notes, *_warnings(final, found, evidence), *told.notes),
         heights=final,
         acf=found.texture.acf,
         name=name,
@@ -214,7 +215,7 @@ def _filtered(
     return result, replace(noise, second=second, sample=sample, floor=float(np.nanstd(sample)))
 
 
-def _warnings(heights: HeightMap, found: Estimate) -> tuple[str, ...]:
+def _warnings(heights: HeightMap, found: Estimate, evidence: Evidence) -> tuple[str, ...]:
     notes = []
     length = found.clean["Sal"]
     side = math.sqrt((heights.size[0]) * heights.size[1])
@@ -229,13 +230,18 @@ def _warnings(heights: HeightMap, found: Estimate) -> tuple[str, ...]:
                 f"warning: the correlation length of {length:.3g} mm is under three pitches ({max(heights.pitch):.3g} mm): "
                 "the sampling is too coarse for the finest texture"
             )
+    loss = evidence.stripe_loss(found.clean["Sq"])
+    if loss > _WIDE_STRIPE:
+        notes.append(
+            f"warning: the stripe (one sigma {evidence.stripe_width:.3g} mm) is wide against the texture: it averages away "
+            f"up to {100.0 * loss:.1f} % of Sq, of which ranging put back {100.0 * (1.0 - evidence.stripe_left):.0f} %"
+        )
     if heights.gap_share > 0.5:
         notes.append(f"warning: {100.0 * heights.gap_share:.0f} % of the patch was not seen")
     return tuple(notes)
 
 
-def _bandwidth(heights: HeightMap, options: RoughnessOptions, told: Told) -> dict[str, float | None]:
-    width = options.stripe_width
+def _bandwidth(heights: HeightMap, options: RoughnessOptions, width: float, told: Told) -> dict[str, float | None]:
     return {
         "pitch_across": heights.pitch[0],
         "pitch_along": heights.pitch[1],

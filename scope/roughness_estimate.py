@@ -34,10 +34,11 @@ class Evidence:
     slope_noise: Array  # (2,) variance of the slopes that noise predicts, down and along; 0 with a repeat
     slope_index: tuple[float, float]  # nesting index (mm, down and along) of that smoothing, 0 for none
     stripe_width: float = 0.0  # mm, one sigma of the stripe's profile, down the rows; 0 where it is not known
+    stripe_left: float = 1.0  # share of what that width averages that is still missing in the heights
 
     @classmethod
     def gather(
-        cls, heights: HeightMap, noise: Noise, rng: np.random.Generator, *, stripe_width: float = 0.0
+        cls, heights: HeightMap, noise: Noise, rng: np.random.Generator, *, stripe_width: float = math.nan
     ) -> Evidence:
         """Put together a map and its noise (see `Noise`).
 
@@ -70,8 +71,14 @@ class Evidence:
             slope_maps=(first, second),
             slope_noise=slope_noise,
             slope_index=index,
-            stripe_width=stripe_width,
+            stripe_width=0.0 if math.isnan(stripe_width) or noise.source == "unknown" else stripe_width,
+            stripe_left=1.0 - heights.stripe_corrected,
         )
+
+    def stripe_loss(self, sq: float) -> float:
+        """Share of Sq (mm) that a stripe of this width averages away: to first order, width and slope squared over 2 Sq squared."""
+        slopes = gradient_products(*self.slope_maps, self.pitch) - self.slope_noise
+        return 0.5 * self.stripe_width**2 * max(float(slopes[0]), 0.0) / sq**2 if sq > 0.0 else 0.0
 
     def slope_loss(self) -> float:
         """By how much of itself Sdq falls when its smoothing is made 1.4 times as long: what the smoothing itself took."""
@@ -96,6 +103,7 @@ class Evidence:
             slope_noise=self.slope_noise,
             slope_index=self.slope_index,
             stripe_width=self.stripe_width,
+            stripe_left=self.stripe_left,
         )
 
 
@@ -132,8 +140,8 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
     for independent noise and of which Gaussian noise has none beyond the second; Sal, Str and Std from the
     autocorrelation without its noise peak; the heights and volumes of the material ratio curve scaled by the ratio of
     Sq, which is exact where surface and noise are both Gaussian. A stripe of known width averages the surface across
-    itself: to the first order that takes width squared times the squared slope across from Sq squared, which is put
-    back. Smr1 and Smr2 stay as they are. ``with_raw`` false
+    itself: to the first order that takes width squared times the squared slope across from Sq squared, of which is put
+    back what ranging has not. Smr1 and Smr2 stay as they are. ``with_raw`` false
     saves the time of what only the raw values need.
     """
     z, pitch, second = evidence.z, evidence.pitch, evidence.second
@@ -147,7 +155,7 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
     first, other = evidence.slope_maps
     slopes = gradient_products(first, other, pitch) - evidence.slope_noise
     noise_free = variance
-    variance += evidence.stripe_width**2 * max(float(slopes[0]), 0.0)
+    variance += evidence.stripe_left * evidence.stripe_width**2 * max(float(slopes[0]), 0.0)
     clean = dict(raw)
     clean["Sq"] = math.sqrt(variance) if noise_free > 0.0 else math.nan
     shrink = clean["Sq"] / raw["Sq"] if raw["Sq"] > 0.0 else math.nan

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from scope.roughness_areal import gradient_products
 from scope.roughness_estimate import LINEAR, Estimate, Evidence, estimate
 from scope.roughness_noise import Noise
 from scope.roughness_profile_noise import LARGEST_NOISE_SHARE
@@ -79,15 +78,15 @@ def _model_error(key: str, evidence: Evidence, found: Estimate, noise: Noise) ->
     Scaling takes surface and noise for Gaussian: its error grows with the surface's excess over a Gaussian. Extremes of
     noise outnumber those of the surface, so that theirs is half of what scaling took; the material ratios of the core
     are not corrected, but pulled to a Gaussian's. Smoothed slopes lose what twice the smoothing would lose again, and
-    the stripe's width is believed to a quarter.
+    what the stripe's
+    width averages, put back by ranging or here, is known to half of itself.
     """
     clean, raw = found.clean, found.raw
     if key in {"Sdq", "Sdr"}:
         return (0.6 if key == "Sdq" else 1.2) * evidence.slope_loss() * clean[key]
     width = 0.0
     if key == "Sq" or key in LINEAR:
-        slopes = gradient_products(*evidence.slope_maps, evidence.pitch) - evidence.slope_noise
-        width = 0.25 * evidence.stripe_width**2 * max(float(slopes[0]), 0.0) / clean["Sq"] ** 2 * clean[key]
+        width = 0.5 * evidence.stripe_loss(clean["Sq"]) * clean[key]
     if noise.source == "unknown":
         return width
     if key in {"Sp", "Sv", "Sz"}:

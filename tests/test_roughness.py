@@ -202,6 +202,23 @@ def test_a_known_stripe_width_puts_back_what_it_averaged():
     assert mended.areal["Sq"].value == pytest.approx(truth, rel=0.01)
 
 
+def test_what_ranging_has_put_back_is_not_put_back_again():
+    """Of 12 samples of correlation length a stripe of 2.5 averages (2.5 / 12)^2 = 4.3 % of Sq; half of it is the doubt."""
+    rng = np.random.default_rng(46)
+    cloud = scan_of(rough((300, 300), 12.0, rng), rng, noise=0.004)
+    told, plain = replace(cloud, stripe_width=(0.25,), stripe_corrected=(1.0,)), RoughnessOptions()
+    corrected, unknown = measure_roughness(told, options=plain), measure_roughness(cloud, options=plain)
+    by_hand = measure_roughness(replace(told, stripe_corrected=(0.0,)), options=plain)
+    assert corrected.bandwidth["stripe_width"] == 0.25
+    assert unknown.bandwidth["stripe_width"] is None
+    sq = [found.areal["Sq"] for found in (unknown, corrected, by_hand)]
+    assert sq[1].value == pytest.approx(sq[0].value, rel=1e-9)
+    assert sq[2].value == pytest.approx(1.043 * sq[0].value, rel=0.01)
+    doubt = math.sqrt(sq[1].uncertainty ** 2 - sq[0].uncertainty ** 2) / sq[0].value
+    assert doubt == pytest.approx(0.043, rel=0.2)
+    assert any("the stripe" in note and "put back 100 %" in note for note in corrected.notes)
+
+
 def test_uncertainty_covers_blocks_of_gaps():
     """Of 12 maps with a fifth missing in blocks, the full map's parameters lie within k = 2 nearly always."""
     rng = np.random.default_rng(39)
