@@ -146,7 +146,12 @@ def measure_heights(
     areal = areal_table(evidence, found, final_noise, spread, trust, final.gap_share)
     slope_reason = areal["Sdq"].reason
     profile, told = direction_parameters(
-        primary, primary_noise, cutoff=options.l_filter, slope_reason=slope_reason, with_uncertainty=options.uncertainty
+        primary,
+        primary_noise,
+        cutoff=options.l_filter,
+        rng=rng,
+        slope_reason=slope_reason,
+        with_uncertainty=options.uncertainty,
     )
     sq = areal["Sq"]
     return Roughness(

@@ -10,7 +10,7 @@ import numpy as np
 from calibration.geometry import Array
 from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
-from scope.roughness_noise import Noise
+from scope.roughness_noise import Noise, added_noise, calmed
 from scope.roughness_profile import SECTIONS, Profiles, roughness_profiles
 from scope.roughness_profile_noise import SCALED, Direction, Found
 from scope.roughness_table import PROFILE, Parameter
@@ -34,6 +34,7 @@ def direction_parameters(
     noise: Noise,
     *,
     cutoff: float | None,
+    rng: np.random.Generator,
     slope_reason: str = "",
     with_uncertainty: bool = True,
 ) -> tuple[dict[str, dict[str, Parameter]], Told]:
@@ -51,16 +52,21 @@ def direction_parameters(
     cutoffs: dict[str, float] = {}
     notes: list[str] = []
     floor = 0.0 if math.isnan(noise.floor) else noise.floor
+    added, calm = np.zeros(heights.z.shape), heights.z
+    if floor > 0.0:
+        added, calm = added_noise(noise, heights.known, rng), calmed(heights.z, floor)
     for way, axis in _ANGLES.items():
         z = heights.z if axis == 1 else heights.z.T
-        second, sample = _turned(noise.second, axis), _turned(noise.sample, axis)
+        second = noise.second if noise.second is None or axis == 1 else noise.second.T
         try:
-            profiles = roughness_profiles(z, heights.pitch[axis], cutoff, noise=floor if sample is None else 0.0)
+            profiles = roughness_profiles(z, heights.pitch[axis], cutoff, noise=floor if noise.sample is None else 0.0)
         except ValueError as error:
             raise MeasurementError(
                 f"{way} the stripe, {error}; choose a larger region or another --l-filter"
             ) from error
-        direction = Direction.gather(z, second, profiles, noise, sample)
+        direction = Direction.gather(
+            z, second, profiles, noise, *(part if axis == 1 else part.T for part in (added, calm))
+        )
         tables[way] = _table(direction, profiles, noise, slope_reason, with_uncertainty)
         cutoffs[way] = profiles.cutoff
         settings[f"profile {way}"] = (
@@ -74,10 +80,6 @@ def direction_parameters(
                 f"the standard asks for {SECTIONS}"
             )
     return tables, Told(settings, cutoffs, tuple(notes))
-
-
-def _turned(values: Array | None, axis: int) -> Array | None:
-    return values if values is None or axis == 1 else values.T
 
 
 def _table(
@@ -128,7 +130,7 @@ def _model_error(key: str, one: Found, direction: Direction) -> float:
         return 0.6 * direction.smoothing_loss() * one.value
     if key not in SCALED:
         return 0.0
-    return (0.1 if key == "Ra" else 0.5) * abs(one.raw - one.value)
+    return (0.1 if key == "Ra" else 0.25) * abs(one.raw - one.value)
 
 
 def _spread(direction: Direction, profiles: Profiles) -> dict[str, float]:

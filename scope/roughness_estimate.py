@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,12 +13,14 @@ from scope.heightmap import HeightMap
 from scope.heightmap_filter import SAMPLES_PER_INDEX, gaussian
 from scope.roughness_abbott import AbbottCurve, core_parameters, percentile_parameters, volume_parameters
 from scope.roughness_areal import developed_area_ratio, gradient_products, height_parameters
-from scope.roughness_noise import Noise
+from scope.roughness_noise import Noise, added_noise, calmed
 from scope.roughness_texture import Texture, texture
 
 LINEAR = (
     "Sa", "Sp", "Sv", "Sz", "Sxp", "Sz99", "Sk", "Spk", "Svk", "Vmp", "Vmc", "Vvv", "Vvc",
 )  # fmt: skip
+SHARES = ("Smr1", "Smr2")
+_DRAWS = 4  # of noise that is added
 _FEW_GAPS = 0.01  # fewer need no looking into
 _QUIET_SLOPES = 0.5  # noise below this share of the slopes' variance needs no smoothing before it is subtracted
 
@@ -34,6 +37,7 @@ class Evidence:
     slope_noise: Array  # (2,) variance of the slopes that noise predicts, down and along; 0 with a repeat
     slope_index: tuple[float, float]  # nesting index (mm, down and along) of that smoothing, 0 for none
     stripe_width: float = 0.0  # mm, one sigma of the stripe's profile, down the rows; 0 where it is not known
+    answers: Mapping[str, float] = field(default_factory=dict)  # see `answers_to_noise`
     stripe_left: float = 1.0  # share of what that width averages that is still missing in the heights
 
     @classmethod
@@ -71,6 +75,7 @@ class Evidence:
             slope_maps=(first, second),
             slope_noise=slope_noise,
             slope_index=index,
+            answers=answers_to_noise(z, noise, rng),
             stripe_width=0.0 if math.isnan(stripe_width) or noise.source == "unknown" else stripe_width,
             stripe_left=1.0 - heights.stripe_corrected,
         )
@@ -102,6 +107,7 @@ class Evidence:
             slope_maps=(first, first if self.slope_maps[1] is self.slope_maps[0] else second),
             slope_noise=self.slope_noise,
             slope_index=self.slope_index,
+            answers=self.answers,
             stripe_width=self.stripe_width,
             stripe_left=self.stripe_left,
         )
@@ -138,11 +144,10 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
 
     Sq and the slopes by subtraction of variances (or as products of two scans); Ssk and Sku by cumulants, which add
     for independent noise and of which Gaussian noise has none beyond the second; Sal, Str and Std from the
-    autocorrelation without its noise peak; the heights and volumes of the material ratio curve scaled by the ratio of
-    Sq, which is exact where surface and noise are both Gaussian. A stripe of known width averages the surface across
+    autocorrelation without its noise peak; the heights and volumes of the material ratio curve by the ratio of
+    Sq and by what more noise does to each (`answers_to_noise`). A stripe of known width averages the surface across
     itself: to the first order that takes width squared times the squared slope across from Sq squared, of which is put
-    back what ranging has not. Smr1 and Smr2 stay as they are. ``with_raw`` false
-    saves the time of what only the raw values need.
+    back what ranging has not. ``with_raw`` false saves the time of what only the raw values need.
     """
     z, pitch, second = evidence.z, evidence.pitch, evidence.second
     raw = _distribution(z)
@@ -160,7 +165,9 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
     clean["Sq"] = math.sqrt(variance) if noise_free > 0.0 else math.nan
     shrink = clean["Sq"] / raw["Sq"] if raw["Sq"] > 0.0 else math.nan
     for name in LINEAR:
-        clean[name] = shrink * raw[name]
+        clean[name] = shrink * evidence.answers.get(name, 1.0) * raw[name]
+    for name in SHARES:
+        clean[name] = min(100.0, max(0.0, raw[name] + evidence.answers.get(name, 0.0)))
     if raw["Sq"] > 0.0:
         without = math.sqrt(noise_free) / raw["Sq"] if noise_free > 0.0 else math.nan
         clean["Ssk"] = raw["Ssk"] / without**3
@@ -175,6 +182,32 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
     if with_raw:
         raw = raw_parameters(z, pitch).raw
     return Estimate(raw, clean, found)
+
+
+def answers_to_noise(z: Array, noise: Noise, rng: np.random.Generator) -> dict[str, float]:
+    """What noise does to the material ratio curve of heights (rows, columns) mm beyond what it does to Sq.
+
+    Found by doing it: noise is added to the heights as they look with theirs smoothed away (a parametric bootstrap;
+    Efron and Tibshirani 1993). For Gaussian heights there is nothing beyond; but of extremes white noise has more than a
+    smooth surface. Gives for each of `LINEAR` a factor to undo it, for Smr1 and Smr2 what is to be added (percent);
+    nothing where there is no noise, or nothing else.
+    """
+    if math.isnan(noise.floor) or noise.floor == 0.0:
+        return {}
+    known = np.isfinite(z)
+    calm = calmed(z, noise.floor)[known]
+    if calm.std() == 0.0:
+        return {}
+    before = _distribution(calm)
+    after = dict.fromkeys(before, 0.0)
+    for _ in range(_DRAWS):
+        for name, value in _distribution(calm + added_noise(noise, known, rng)[known]).items():
+            after[name] += value / _DRAWS
+    answers = {name: before[name] - after[name] for name in SHARES}
+    grown = after["Sq"] / before["Sq"]
+    return answers | {
+        name: grown * before[name] / after[name] if before[name] > 0.0 and after[name] > 0.0 else 1.0 for name in LINEAR
+    }
 
 
 def chance(evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *, tiles: int = 24) -> dict[str, float]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from scope.roughness_estimate import LINEAR, Estimate, Evidence, estimate
+from scope.roughness_estimate import LINEAR, SHARES, Estimate, Evidence, estimate
 from scope.roughness_noise import Noise
 from scope.roughness_profile_noise import LARGEST_NOISE_SHARE
 from scope.roughness_table import AREAL, Parameter
@@ -90,12 +90,12 @@ def _model_error(key: str, evidence: Evidence, found: Estimate, noise: Noise) ->
     if noise.source == "unknown":
         return width
     if key in {"Sp", "Sv", "Sz"}:
-        return math.hypot(width, 0.5 * abs(raw[key] - clean[key]))
-    if key in {"Smr1", "Smr2"}:
-        return abs(1.0 - (clean["Sq"] / raw["Sq"]) ** 2)
+        return math.hypot(width, 0.25 * abs(raw[key] - clean[key]))
+    if key in SHARES:
+        return max(0.5 * abs(raw[key] - clean[key]), 1.0 - (clean["Sq"] / raw["Sq"]) ** 2)
     if key in LINEAR:
         excess = min(1.0, abs(clean["Ssk"]) / 2.0 + abs(clean["Sku"] - 3.0) / 3.0)
-        return math.hypot(width, (0.02 + 0.5 * excess) * abs(raw[key] - clean[key]))
+        return math.hypot(width, (0.02 + 0.25 * excess) * abs(raw[key] - clean[key]))
     return width
 
 

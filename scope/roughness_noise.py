@@ -11,6 +11,7 @@ import numpy as np
 from calibration.geometry import Array, Bools
 from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
+from scope.heightmap_filter import ALPHA, gaussian
 from scope.roughness_texture import autocorrelation
 
 SIGMA_TRUST = 0.05  # relative standard uncertainty of a predicted sigma
@@ -31,6 +32,38 @@ class Noise:
     displacement: float = math.nan  # mm by which the repeat's sampling lies displaced
     correlation: float = math.nan  # of the two scans
     notes: tuple[str, ...] = ()
+
+
+def added_noise(noise: Noise, known: Bools, rng: np.random.Generator) -> Array:
+    """As much independent noise (rows, columns) mm as known heights have; as the filters of the map passed it, if any.
+
+    Filtered noise is the one sample that there is, set off by a random number of rows and columns; 0 where it has gaps.
+    """
+    if noise.sample is None:
+        return noise.floor * rng.standard_normal(known.shape)
+    shift = (int(rng.integers(known.shape[0])), int(rng.integers(known.shape[1])))
+    return np.nan_to_num(np.roll(noise.sample, shift, axis=(0, 1)))
+
+
+def calmed(z: Array, floor: float) -> Array:
+    """Heights (rows, columns) mm with white noise of ``floor`` mm rms smoothed away to a fiftieth of their variance.
+
+    By the shortest Gaussian that does it; the smoothed heights are stretched to the variance that the surface has. All the
+    same where the noise is all that there is.
+    """
+    known = np.isfinite(z)
+    clean = float(z[known].var()) - floor**2
+    if clean <= 0.0:
+        return np.where(known, 0.0, np.nan)
+    index = math.sqrt(
+        floor**2 / (2.0 * ALPHA**2 * 0.02 * clean)
+    )  # 1 / (sqrt 2 alpha index) of the variance passes a way
+    index = min(index, min(z.shape) / 4.0)
+    if index < 1.5:
+        return z
+    smooth = np.where(known, gaussian(z, (1.0, 1.0), (index, index)).z, np.nan)
+    middle, spread = float(np.nanmean(smooth)), float(np.nanstd(smooth))
+    return np.asarray(middle + (smooth - middle) * (math.sqrt(clean) / spread if spread > 0.0 else 0.0))
 
 
 def predicted_noise(heights: HeightMap, *, trust: float = SIGMA_TRUST) -> Noise:

@@ -79,15 +79,12 @@ def profile_parameters(profiles: Profiles) -> dict[str, Array]:
     square = centred * centred
     variance = square.sum(axis=1) / count
     safe = np.where(variance > 0.0, variance, np.nan)
-    highest = np.where(known, centred, -np.inf).max(axis=1)
-    lowest = np.where(known, centred, np.inf).min(axis=1)
     step = np.diff(z, axis=1) / profiles.pitch
     pairs = np.isfinite(step)
     result = {
         "Ra": np.abs(centred).sum(axis=1) / count,
         "Rq": np.sqrt(variance),
-        "Rz": _section_heights(np.where(known, centred, np.nan), profiles.section),
-        "Rt": highest - lowest,
+        **profile_extremes(profiles),
         "Rsk": (square * centred).sum(axis=1) / count / safe**1.5,
         "Rku": (square * square).sum(axis=1) / count / safe**2,
         "Rdq": np.sqrt(np.square(np.where(pairs, step, 0.0)).sum(axis=1) / np.maximum(pairs.sum(axis=1), 1)),
@@ -100,6 +97,16 @@ def profile_parameters(profiles: Profiles) -> dict[str, Array]:
             np.where(known[row], centred[row], np.nan), profiles.pitch, DISCRIMINATION * result["Rz"][row]
         )
     return result
+
+
+def profile_extremes(profiles: Profiles) -> dict[str, Array]:
+    """Rz and Rt of each profile, (profiles,) mm each, as `profile_parameters` has them."""
+    z = profiles.z
+    known = np.isfinite(z)
+    enough = known.sum(axis=1) >= max(10, z.shape[1] // 2)
+    height = np.where(known, z, -np.inf).max(axis=1) - np.where(known, z, np.inf).min(axis=1)
+    sections = _section_heights(z, profiles.section)
+    return {"Rz": np.where(enough, sections, np.nan), "Rt": np.where(enough, height, np.nan)}
 
 
 def elements(profile: Array, pitch: float, threshold: float) -> tuple[float, float]:

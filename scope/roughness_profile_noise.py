@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from calibration.geometry import Array, Bools
 from scope.heightmap_filter import ALPHA, SAMPLES_PER_INDEX, gaussian
 from scope.roughness_extras import Joint, profile_depths
 from scope.roughness_noise import Noise
-from scope.roughness_profile import Profiles, profile_parameters, roughness_profiles
+from scope.roughness_profile import Profiles, profile_extremes, profile_parameters, roughness_profiles
 
 SCALED = frozenset({"Ra", "Rz", "Rt", "Rc", "MPD"})
 _OF_ELEMENTS = frozenset({"RSm", "Rc"})
@@ -42,15 +42,17 @@ class Direction:
     smoother: Array  # (N, 2): the same behind twice the filter
     slope_noise: float  # variance of unsmoothed slopes that noise predicts
     joint: Joint
+    answers: dict[str, float]  # factors of Rz, Rt and MPD beyond the ratio of Rq, see `_answers`
     depths: Array  # (N, 2) mm: sum of the profile depths of whole base lengths, and their number
 
     @classmethod
     def gather(
-        cls, z: Array, second: Array | None, profiles: Profiles, noise: Noise, sample: Array | None
+        cls, z: Array, second: Array | None, profiles: Profiles, noise: Noise, added: Array, calm: Array
     ) -> Direction:
         """Sums of primary profiles ``z`` (N, samples) mm, their repeat and their roughness profiles.
 
-        ``sample`` (N, samples) mm is noise alone as it lies on the primary profiles; None for white noise.
+        ``added`` (N, samples) mm is as much noise again as lies on the primary profiles, behind their filters if any,
+        ``calm`` (N, samples) mm the profiles with their noise smoothed away.
         """
         rough, pitch = profiles.z, profiles.pitch
         again = None if second is None else _roughness(np.where(np.isfinite(z), second, np.nan), profiles)
@@ -59,11 +61,11 @@ class Direction:
         if noise.source == "sigma":
             weight = pitch / (ALPHA * profiles.cutoff)  # of the Gaussian's middle sample
             passed = floor * (1.0 - 2.0 * weight + weight / math.sqrt(2.0))
-            predicted = passed if sample is None else float(np.nanvar(_roughness(sample, profiles)))
+            predicted = passed if noise.sample is None else float(np.nanvar(_roughness(added, profiles)))
         other = rough if again is None else again
         lone = 2.0 * floor / pitch**2
-        if sample is not None:
-            lone = float(np.nanmean(np.square(np.diff(sample, axis=1)))) / pitch**2
+        if noise.sample is not None:
+            lone = float(np.mean(np.square(np.diff(added, axis=1)))) / pitch**2
         return cls(
             values=profile_parameters(profiles),
             square=_sums(rough * rough),
@@ -72,7 +74,8 @@ class Direction:
             slope=_smooth_slopes(rough, other, pitch, 1.0),
             smoother=_smooth_slopes(rough, other, pitch, math.sqrt(2.0)),
             slope_noise=lone,
-            joint=Joint.gather(z, pitch, second=second, noise_variance=floor, sample=sample),
+            joint=Joint.gather(z, pitch, second=second, noise_variance=floor, sample=None if noise.sample is None else added),
+            answers=_answers(calm, profiles, added) if floor > 0.0 and float(np.nanvar(calm)) > 0.0 else {},
             depths=profile_depths(z, pitch),
         )  # fmt: skip
 
@@ -98,6 +101,7 @@ class Direction:
             chosen = chosen[np.isfinite(chosen)]
             raw = float(chosen.mean()) if len(chosen) else math.nan
             value, reason = self._slope(raw, keep, more) if key == "Rdq" else _clean(key, raw, share)
+            value *= self.answers.get(key, 1.0)
             if not reason and not math.isfinite(value):
                 reason = "no whole profile element" if key in _OF_ELEMENTS else "no profile is half complete"
             found[key] = Found(raw, math.nan if reason else value, reason)
@@ -106,7 +110,8 @@ class Direction:
         total, count = self.depths[keep].sum(axis=0)
         if count:
             depth = float(total / count)
-            found["MPD"] = Found(depth, *_clean("MPD", depth, share))
+            value, reason = _clean("MPD", depth, share)
+            found["MPD"] = Found(depth, value * self.answers.get("MPD", 1.0), reason)
         else:
             found["MPD"] = Found(
                 math.nan, math.nan, "not applicable: no profile is 100 mm long and nine tenths complete"
@@ -140,6 +145,25 @@ class Direction:
             return math.nan, told
         square = _mean(self.slope, keep)
         return (math.sqrt(square), "") if square > 0.0 else (math.nan, "noise is all of the measured slopes")
+
+
+def _answers(calm: Array, profiles: Profiles, added: Array) -> dict[str, float]:
+    """What ``added`` noise (N, samples) mm does to the extremes of calm profiles beyond what it does to Rq.
+
+    Factors that undo it, for Rz, Rt and MPD: the counterpart of `scope.roughness_estimate.answers_to_noise`.
+    """
+    before, after = (replace(profiles, z=_roughness(values, profiles)) for values in (calm, calm + added))
+    grown = math.sqrt(float(np.nanvar(after.z)) / max(float(np.nanvar(before.z)), 1e-300))
+    late = profile_extremes(after)
+    pairs = {
+        key: (float(np.nanmean(each)), float(np.nanmean(late[key])))
+        for key, each in profile_extremes(before).items()
+        if np.isfinite(each).any()
+    }
+    depths = [profile_depths(values, profiles.pitch).sum(axis=0) for values in (calm, calm + added)]
+    if depths[0][1] and depths[1][1]:
+        pairs["MPD"] = (float(depths[0][0] / depths[0][1]), float(depths[1][0] / depths[1][1]))
+    return {key: grown * one / two for key, (one, two) in pairs.items() if one > 0.0 and two > 0.0}
 
 
 def _clean(key: str, raw: float, share: float) -> tuple[float, str]:
