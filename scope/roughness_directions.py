@@ -10,14 +10,18 @@ import numpy as np
 from calibration.geometry import Array
 from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
-from scope.roughness_noise import Noise, added_noise, calmed
-from scope.roughness_profile import SECTIONS, Profiles, roughness_profiles
+from scope.roughness_noise import Noise, added_noise
+from scope.roughness_profile import SECTIONS, Profiles, profile_parameters, roughness_profiles
 from scope.roughness_profile_noise import SCALED, Direction, Found
 from scope.roughness_table import PROFILE, Parameter
 
 _ANGLES = {"along": 1, "across": 0}
 _BLOCKS = 24  # of neighbouring profiles, that the jackknife leaves out one at a time
 _FEWEST_BLOCKS = 4
+_FEW_GAPS = 0.01  # fewer need no looking into
+_GAP_DRAWS = 3
+_OVERLAP = 1.3  # gaps that are cut again fall in part on those that are there
+_SHAPES = frozenset({"Rsk"})  # about zero: a relative change means nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +56,7 @@ def direction_parameters(
     cutoffs: dict[str, float] = {}
     notes: list[str] = []
     floor = 0.0 if math.isnan(noise.floor) else noise.floor
-    added, calm = np.zeros(heights.z.shape), heights.z
-    if floor > 0.0:
-        added, calm = added_noise(noise, heights.known, rng), calmed(heights.z, floor)
+    added = added_noise(noise, heights.known, rng) if floor > 0.0 else np.zeros(heights.z.shape)
     for way, axis in _ANGLES.items():
         z = heights.z if axis == 1 else heights.z.T
         second = noise.second if noise.second is None or axis == 1 else noise.second.T
@@ -64,10 +66,9 @@ def direction_parameters(
             raise MeasurementError(
                 f"{way} the stripe, {error}; choose a larger region or another --l-filter"
             ) from error
-        direction = Direction.gather(
-            z, second, profiles, noise, *(part if axis == 1 else part.T for part in (added, calm))
-        )
-        tables[way] = _table(direction, profiles, noise, slope_reason, with_uncertainty)
+        direction = Direction.gather(z, second, profiles, noise, added if axis == 1 else added.T)
+        gaps = _gap_spread(z, profiles, direction, rng) if with_uncertainty else {}
+        tables[way] = _table(direction, profiles, noise, slope_reason, with_uncertainty, gaps)
         cutoffs[way] = profiles.cutoff
         settings[f"profile {way}"] = (
             f"cut-off {profiles.cutoff:g} mm, {profiles.sections} sections, "
@@ -83,11 +84,18 @@ def direction_parameters(
 
 
 def _table(
-    direction: Direction, profiles: Profiles, noise: Noise, slope_reason: str, with_uncertainty: bool
+    direction: Direction,
+    profiles: Profiles,
+    noise: Noise,
+    slope_reason: str,
+    with_uncertainty: bool,
+    gaps: dict[str, float],
 ) -> dict[str, Parameter]:
     everything = np.ones(len(profiles.z), dtype=np.bool_)
     found = direction.parameters(everything)
     spread = _spread(direction, profiles) if with_uncertainty else {}
+    for key, moved_by in gaps.items():
+        spread[key] = math.hypot(spread[key], moved_by * abs(found[key].value))
     trusting = noise.source == "sigma" and noise.trust > 0.0
     moved = direction.parameters(everything, more=(1.0 + noise.trust) ** 2) if trusting else found
     table = {}
@@ -98,7 +106,9 @@ def _table(
         if not reason and key in spread and math.isfinite(spread[key]):
             trust = abs(moved[key].value - one.value)
             model = _model_error(key, one, direction)
-            if math.isfinite(trust) and math.isfinite(model):
+            if math.isnan(trust):
+                reason = "noise: a sigma wrong by its own uncertainty leaves nothing of it; give a repeat scan"
+            elif math.isfinite(model):
                 expanded = 2.0 * math.sqrt(spread[key] ** 2 + trust**2 + model**2)
         table[key] = Parameter(
             value=None if reason else one.value,
@@ -123,11 +133,14 @@ def _note(key: str, direction: Direction) -> str:
 def _model_error(key: str, one: Found, direction: Direction) -> float:
     """Standard uncertainty of what taking the noise out takes for granted.
 
-    Scaling by the ratio of Rq is exact for Gaussian heights; extremes of white noise outnumber those of the surface. A
-    smoothed Rdq loses what twice the smoothing would lose again.
+    Scaling by the ratio of Rq is exact for Gaussian heights; what noise adds to extremes was found on smoothed ones. What
+    smoothing took from Rdq was put back, as twice the smoothing would take it again; elements of smoothed profiles may
+    not change when they are smoothed further.
     """
     if key == "Rdq":
-        return 0.6 * direction.smoothing_loss() * one.value
+        return 0.6 * (direction.regain - 1.0) * one.value if direction.smoothed_slopes() else 0.0
+    if key in direction.doubt:
+        return direction.doubt[key] * one.value
     if key not in SCALED:
         return 0.0
     return (0.1 if key == "Ra" else 0.25) * abs(one.raw - one.value)
@@ -154,6 +167,26 @@ def _spread(direction: Direction, profiles: Profiles) -> dict[str, float]:
         variance = (len(values) - 1) * float(np.mean((values - values.mean()) ** 2))
         spread[key] = math.sqrt(variance * max(1.0, blocks / independent))
     return spread
+
+
+def _gap_spread(z: Array, profiles: Profiles, direction: Direction, rng: np.random.Generator) -> dict[str, float]:
+    """Relative change that the gaps of primary profiles (N, samples) mm make when they are cut again at a random shift.
+
+    Beside a gap the mean line follows the profile, as it does at its ends, and long elements do not fit between gaps.
+    """
+    known = np.isfinite(z)
+    if known.mean() > 1.0 - _FEW_GAPS:
+        return {}
+    before = {key: float(np.nanmean(each)) for key, each in direction.values.items() if np.isfinite(each).any()}
+    squares = dict.fromkeys(before, 0.0)
+    for _ in range(_GAP_DRAWS):
+        keep = np.roll(known, (int(rng.integers(len(z))), int(rng.integers(z.shape[1]))), axis=(0, 1))
+        again = profile_parameters(roughness_profiles(np.where(keep, z, np.nan), profiles.pitch, profiles.cutoff))
+        for key in squares:
+            each = again[key][np.isfinite(again[key])]
+            change = float(each.mean()) / before[key] - 1.0 if len(each) and before[key] != 0.0 else 0.0
+            squares[key] += change**2 / _GAP_DRAWS
+    return {key: _OVERLAP * math.sqrt(square) for key, square in squares.items() if key not in _SHAPES}
 
 
 def _independent(z: Array) -> float:

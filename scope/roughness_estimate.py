@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -37,6 +37,7 @@ class Evidence:
     slope_noise: Array  # (2,) variance of the slopes that noise predicts, down and along; 0 with a repeat
     slope_index: tuple[float, float]  # nesting index (mm, down and along) of that smoothing, 0 for none
     stripe_width: float = 0.0  # mm, one sigma of the stripe's profile, down the rows; 0 where it is not known
+    slope_regain: float = 1.0  # factor that puts back what the smoothing took from Sdq, see `regained`
     answers: Mapping[str, float] = field(default_factory=dict)  # see `answers_to_noise`
     stripe_left: float = 1.0  # share of what that width averages that is still missing in the heights
 
@@ -67,7 +68,7 @@ class Evidence:
             if draw is None:
                 draw = np.where(heights.known, noise.floor * rng.standard_normal(z.shape), np.nan)
             slope_noise = gradient_products(smooth(draw), smooth(draw), pitch)
-        return cls(
+        made = cls(
             z=z,
             pitch=pitch,
             second=noise.second,
@@ -79,37 +80,35 @@ class Evidence:
             stripe_width=0.0 if math.isnan(stripe_width) or noise.source == "unknown" else stripe_width,
             stripe_left=1.0 - heights.stripe_corrected,
         )
+        return replace(made, slope_regain=made.regained())
 
     def stripe_loss(self, sq: float) -> float:
         """Share of Sq (mm) that a stripe of this width averages away: to first order, width and slope squared over 2 Sq squared."""
         slopes = gradient_products(*self.slope_maps, self.pitch) - self.slope_noise
         return 0.5 * self.stripe_width**2 * max(float(slopes[0]), 0.0) / sq**2 if sq > 0.0 else 0.0
 
-    def slope_loss(self) -> float:
-        """By how much of itself Sdq falls when its smoothing is made 1.4 times as long: what the smoothing itself took."""
+    def regained(self) -> float:
+        """Factor that puts back what smoothing took from Sdq: its fall when the smoothing is made 1.4 times as long.
+
+        1 where there is none; NaN where noise hides the slopes.
+        """
         if self.slope_index == (0.0, 0.0):
-            return 0.0
+            return 1.0
         first, second = self.slope_maps
         more = [_smoothed(values, self.pitch, self.slope_index) for values in (first, second)]
         before = (gradient_products(first, second, self.pitch) - self.slope_noise).sum()
         # The noise that is left behind twice the smoothing: white noise of slopes falls with its fourth power.
         after = (gradient_products(more[0], more[1], self.pitch) - self.slope_noise / 4.0).sum()
-        return abs(1.0 - math.sqrt(max(float(after / before), 0.0))) if before > 0.0 else math.inf
+        return math.sqrt(float(before / after)) if before > 0.0 and after > 0.0 else math.nan
 
     def part(self, keep: Bools) -> Evidence:
         """Evidence with the heights outside a mask (rows, columns) turned into gaps."""
         first, second = (np.where(keep, values, np.nan) for values in self.slope_maps)
-        return Evidence(
+        return replace(
+            self,
             z=np.where(keep, self.z, np.nan),
-            pitch=self.pitch,
             second=None if self.second is None else np.where(keep, self.second, np.nan),
-            noise_variance=self.noise_variance,
             slope_maps=(first, first if self.slope_maps[1] is self.slope_maps[0] else second),
-            slope_noise=self.slope_noise,
-            slope_index=self.slope_index,
-            answers=self.answers,
-            stripe_width=self.stripe_width,
-            stripe_left=self.stripe_left,
         )
 
 
@@ -176,8 +175,8 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
     clean |= {"Sal": found.Sal, "Str": found.Str, "Std": found.Std}
     smoothed = gradient_products(first, first, pitch).sum()
     surface = float(slopes.sum())
-    clean["Sdq"] = math.sqrt(surface) if surface > 0.0 else math.nan
-    less = math.sqrt(surface / smoothed) if surface > 0.0 and smoothed > 0.0 else math.nan
+    clean["Sdq"] = evidence.slope_regain * math.sqrt(surface) if surface > 0.0 else math.nan
+    less = clean["Sdq"] / math.sqrt(smoothed) if smoothed > 0.0 else math.nan
     clean["Sdr"] = 100.0 * developed_area_ratio(first, pitch, scale=less)
     if with_raw:
         raw = raw_parameters(z, pitch).raw

@@ -52,7 +52,10 @@ def areal_table(
         if key in {"Sp", "Sv", "Sz"} and gap_share > 0.01:
             note = "one-sided: the gaps may hide a greater value"
         elif key in {"Sdq", "Sdr"} and evidence.slope_index != (0.0, 0.0):
-            note = f"behind a Gaussian S-filter of {evidence.slope_index[0]:.3g} x {evidence.slope_index[1]:.3g} mm"
+            note = (
+                f"behind a Gaussian S-filter of {evidence.slope_index[0]:.3g} x {evidence.slope_index[1]:.3g} mm; "
+                f"the {100.0 * (1.0 - 1.0 / evidence.slope_regain):.1f} % of Sdq that it took are put back"
+            )
         expanded = None
         if spread and not reason and math.isfinite(spread[key]):
             expanded = 2.0 * math.sqrt(spread[key] ** 2 + trust[key] ** 2 + extra**2)
@@ -75,15 +78,14 @@ def areal_table(
 def _model_error(key: str, evidence: Evidence, found: Estimate, noise: Noise) -> float:
     """Standard uncertainty of what the corrections take for granted.
 
-    Scaling takes surface and noise for Gaussian: its error grows with the surface's excess over a Gaussian. Extremes of
-    noise outnumber those of the surface, so that theirs is half of what scaling took; the material ratios of the core
-    are not corrected, but pulled to a Gaussian's. Smoothed slopes lose what twice the smoothing would lose again, and
-    what the stripe's
-    width averages, put back by ranging or here, is known to half of itself.
+    What noise did to heights and volumes was found on smoothed heights, whose shape is not quite the surface's: a part of
+    what was taken away stays in doubt, the more the farther the surface is from a Gaussian, and a quarter for extremes.
+    What smoothing took from slopes was put back to about half of itself; what the stripe's width averages, put back by
+    ranging or here, is known to half of itself.
     """
     clean, raw = found.clean, found.raw
     if key in {"Sdq", "Sdr"}:
-        return (0.6 if key == "Sdq" else 1.2) * evidence.slope_loss() * clean[key]
+        return (0.6 if key == "Sdq" else 1.2) * (evidence.slope_regain - 1.0) * clean[key]
     width = 0.0
     if key == "Sq" or key in LINEAR:
         width = 0.5 * evidence.stripe_loss(clean["Sq"]) * clean[key]
@@ -92,10 +94,10 @@ def _model_error(key: str, evidence: Evidence, found: Estimate, noise: Noise) ->
     if key in {"Sp", "Sv", "Sz"}:
         return math.hypot(width, 0.25 * abs(raw[key] - clean[key]))
     if key in SHARES:
-        return max(0.5 * abs(raw[key] - clean[key]), 1.0 - (clean["Sq"] / raw["Sq"]) ** 2)
+        return max(abs(raw[key] - clean[key]), 1.0 - (clean["Sq"] / raw["Sq"]) ** 2)
     if key in LINEAR:
         excess = min(1.0, abs(clean["Ssk"]) / 2.0 + abs(clean["Sku"] - 3.0) / 3.0)
-        return math.hypot(width, (0.02 + 0.25 * excess) * abs(raw[key] - clean[key]))
+        return math.hypot(width, (0.02 + 0.5 * excess) * abs(raw[key] - clean[key]))
     return width
 
 

@@ -45,19 +45,19 @@ def added_noise(noise: Noise, known: Bools, rng: np.random.Generator) -> Array:
     return np.nan_to_num(np.roll(noise.sample, shift, axis=(0, 1)))
 
 
-def calmed(z: Array, floor: float) -> Array:
+def calmed(z: Array, floor: float, *, against: float = math.inf) -> Array:
     """Heights (rows, columns) mm with white noise of ``floor`` mm rms smoothed away to a fiftieth of their variance.
 
-    By the shortest Gaussian that does it; the smoothed heights are stretched to the variance that the surface has. All the
-    same where the noise is all that there is.
+    By the shortest Gaussian that does it; the smoothed heights are stretched to the variance that the surface has. With
+    ``against`` (mm2) the noise must fall to a fiftieth of that, if it is less. Level where the noise is all that there is.
     """
     known = np.isfinite(z)
     clean = float(z[known].var()) - floor**2
-    if clean <= 0.0:
+    least = min(clean, against)
+    if least <= 0.0:
         return np.where(known, 0.0, np.nan)
-    index = math.sqrt(
-        floor**2 / (2.0 * ALPHA**2 * 0.02 * clean)
-    )  # 1 / (sqrt 2 alpha index) of the variance passes a way
+    # a Gaussian passes 1 / (sqrt 2 alpha index) of white noise's variance along each direction
+    index = math.sqrt(floor**2 / (2.0 * ALPHA**2 * 0.02 * least))
     index = min(index, min(z.shape) / 4.0)
     if index < 1.5:
         return z

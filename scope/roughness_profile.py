@@ -90,11 +90,17 @@ def profile_parameters(profiles: Profiles) -> dict[str, Array]:
         "Rdq": np.sqrt(np.square(np.where(pairs, step, 0.0)).sum(axis=1) / np.maximum(pairs.sum(axis=1), 1)),
     }
     result = {name: np.where(enough, each, np.nan) for name, each in result.items()}
-    result["RSm"], result["Rc"] = np.full(len(z), np.nan), np.full(len(z), np.nan)
-    rows = np.flatnonzero(enough)
+    return result | profile_elements(profiles)
+
+
+def profile_elements(profiles: Profiles) -> dict[str, Array]:
+    """RSm and Rc of each profile, (profiles,) mm each, as `profile_parameters` has them; of 200 profiles at most."""
+    z, heights = profiles.z, profile_extremes(profiles)["Rz"]
+    result = {"RSm": np.full(len(z), np.nan), "Rc": np.full(len(z), np.nan)}
+    rows = np.flatnonzero(np.isfinite(heights))
     for row in rows[:: max(1, -(-len(rows) // _MOST_PROFILES))]:
         result["RSm"][row], result["Rc"][row] = elements(
-            np.where(known[row], centred[row], np.nan), profiles.pitch, DISCRIMINATION * result["Rz"][row]
+            z[row] - np.nanmean(z[row]), profiles.pitch, DISCRIMINATION * heights[row]
         )
     return result
 

@@ -11,14 +11,20 @@ import numpy as np
 from calibration.geometry import Array, Bools
 from scope.heightmap_filter import ALPHA, SAMPLES_PER_INDEX, gaussian
 from scope.roughness_extras import Joint, profile_depths
-from scope.roughness_noise import Noise
-from scope.roughness_profile import Profiles, profile_extremes, profile_parameters, roughness_profiles
+from scope.roughness_noise import Noise, calmed
+from scope.roughness_profile import (
+    Profiles,
+    profile_elements,
+    profile_extremes,
+    profile_parameters,
+    roughness_profiles,
+)
 
 SCALED = frozenset({"Ra", "Rz", "Rt", "Rc", "MPD"})
-_OF_ELEMENTS = frozenset({"RSm", "Rc"})
+OF_ELEMENTS = frozenset({"RSm", "Rc"})
 LARGEST_NOISE_SHARE = 0.8  # of the variance: beyond, shapes and scaled heights are not given
 _SHAPE_NOISE = 0.5  # of the variance: a profile's skewness and kurtosis rest on fewer heights than an area's
-_QUIET = 0.2  # share of the variance: more noise than this makes elements of its own
+_QUIET = 0.5  # share of the variance: more noise than this makes elements of its own even when it is smoothed
 _QUIET_SLOPES = 0.05  # share of the squared slopes that is subtracted without smoothing
 
 
@@ -39,20 +45,19 @@ class Direction:
     product: Array | None  # (N, 3): sums over what both scans saw: z1 z2, z1 z1, and their number
     noise_variance: float  # mm2, of the roughness heights, predicted; 0 where unknown or repeated
     slope: Array  # (N, 2): sum of the products of slopes behind the S-filter of three pitches, and their number
-    smoother: Array  # (N, 2): the same behind twice the filter
+    regain: float  # factor that puts back what that filter takes from Rdq
     slope_noise: float  # variance of unsmoothed slopes that noise predicts
     joint: Joint
+    elements: dict[str, Array]  # (N,) each: RSm and Rc of the profiles with their noise smoothed away
+    doubt: dict[str, float]  # relative: by how much these change when they are smoothed 1.4 times as far
     answers: dict[str, float]  # factors of Rz, Rt and MPD beyond the ratio of Rq, see `_answers`
     depths: Array  # (N, 2) mm: sum of the profile depths of whole base lengths, and their number
 
     @classmethod
-    def gather(
-        cls, z: Array, second: Array | None, profiles: Profiles, noise: Noise, added: Array, calm: Array
-    ) -> Direction:
+    def gather(cls, z: Array, second: Array | None, profiles: Profiles, noise: Noise, added: Array) -> Direction:
         """Sums of primary profiles ``z`` (N, samples) mm, their repeat and their roughness profiles.
 
-        ``added`` (N, samples) mm is as much noise again as lies on the primary profiles, behind their filters if any,
-        ``calm`` (N, samples) mm the profiles with their noise smoothed away.
+        ``added`` (N, samples) mm is as much noise again as lies on the primary profiles, behind their filters if any.
         """
         rough, pitch = profiles.z, profiles.pitch
         again = None if second is None else _roughness(np.where(np.isfinite(z), second, np.nan), profiles)
@@ -66,18 +71,31 @@ class Direction:
         lone = 2.0 * floor / pitch**2
         if noise.sample is not None:
             lone = float(np.mean(np.square(np.diff(added, axis=1)))) / pitch**2
-        return cls(
+        slope, smoother = (_smooth_slopes(rough, other, pitch, longer) for longer in (1.0, math.sqrt(2.0)))
+        everything = np.ones(len(z), dtype=np.bool_)
+        before, after = _mean(slope, everything), _mean(smoother, everything)
+        made = cls(
             values=profile_parameters(profiles),
             square=_sums(rough * rough),
             product=None if again is None else np.column_stack([_sums(rough * again), _sums(rough * rough + 0.0 * again)[:, 0]]),
             noise_variance=predicted,
-            slope=_smooth_slopes(rough, other, pitch, 1.0),
-            smoother=_smooth_slopes(rough, other, pitch, math.sqrt(2.0)),
+            slope=slope,
+            regain=math.sqrt(before / after) if before > 0.0 and after > 0.0 else math.nan,
             slope_noise=lone,
             joint=Joint.gather(z, pitch, second=second, noise_variance=floor, sample=None if noise.sample is None else added),
-            answers=_answers(calm, profiles, added) if floor > 0.0 and float(np.nanvar(calm)) > 0.0 else {},
+            elements={},
+            doubt={},
+            answers={},
             depths=profile_depths(z, pitch),
         )  # fmt: skip
+        left = made.share(everything)
+        if floor == 0.0 or not left > 0.0:
+            return made
+        against = left * float(np.nanvar(rough))
+        calm, calmer = (calmed(z, longer * noise.floor, against=against) for longer in (1.0, math.sqrt(2.0)))
+        found = [profile_elements(replace(profiles, z=_roughness(heights, profiles))) for heights in (calm, calmer)]
+        doubt = {key: abs(_middle(found[1][key]) / _middle(found[0][key]) - 1.0) for key in found[0]}
+        return replace(made, elements=found[0], doubt=doubt, answers=_answers(calm, profiles, added))
 
     def share(self, keep: Bools, *, more: float = 1.0) -> float:
         """How much of the variance of the profiles in a mask (N,) is surface: 1 where the noise is not known.
@@ -97,13 +115,13 @@ class Direction:
         share = self.share(keep, more=more)
         found = {}
         for key, each in self.values.items():
-            chosen = each[keep]
-            chosen = chosen[np.isfinite(chosen)]
-            raw = float(chosen.mean()) if len(chosen) else math.nan
+            raw = _middle(each[keep])
             value, reason = self._slope(raw, keep, more) if key == "Rdq" else _clean(key, raw, share)
             value *= self.answers.get(key, 1.0)
+            if key in self.elements and not reason:
+                value = _middle(self.elements[key][keep])
             if not reason and not math.isfinite(value):
-                reason = "no whole profile element" if key in _OF_ELEMENTS else "no profile is half complete"
+                reason = "no whole profile element" if key in OF_ELEMENTS else "no profile is half complete"
             found[key] = Found(raw, math.nan if reason else value, reason)
         z2, jrc = self.joint.of(keep, more=more)
         found["Z2"], found["JRC"] = Found(z2.raw, z2.value, z2.reason), Found(jrc.raw, jrc.value, jrc.reason)
@@ -118,17 +136,9 @@ class Direction:
             )
         return found
 
-    def smoothing_loss(self) -> float:
-        """By how much of itself a smoothed Rdq falls when the smoothing is made 1.4 times as long; 0 where none was needed."""
-        everything = np.ones(len(self.slope), dtype=np.bool_)
-        raw = self.values["Rdq"]
-        if (
-            self.product is None
-            or self._slope_share(float(np.nanmean(raw)) if np.isfinite(raw).any() else 0.0, 1.0) < _QUIET_SLOPES
-        ):
-            return 0.0  # fmt: skip
-        before, after = (_mean(sums, everything) for sums in (self.slope, self.smoother))
-        return abs(1.0 - math.sqrt(max(after / before, 0.0))) if before > 0.0 else math.inf
+    def smoothed_slopes(self) -> bool:
+        """Whether Rdq rests on smoothed slopes."""
+        return self.product is not None and not self._slope_share(_middle(self.values["Rdq"]), 1.0) < _QUIET_SLOPES
 
     def _slope_share(self, raw: float, more: float) -> float:
         return more * self.slope_noise / max(raw**2, 1e-300)
@@ -144,7 +154,9 @@ class Direction:
             )
             return math.nan, told
         square = _mean(self.slope, keep)
-        return (math.sqrt(square), "") if square > 0.0 else (math.nan, "noise is all of the measured slopes")
+        return (
+            (self.regain * math.sqrt(square), "") if square > 0.0 else (math.nan, "noise is all of the measured slopes")
+        )
 
 
 def _answers(calm: Array, profiles: Profiles, added: Array) -> dict[str, float]:
@@ -176,8 +188,8 @@ def _clean(key: str, raw: float, share: float) -> tuple[float, str]:
     shrink = math.sqrt(min(share, 1.0))
     if key == "Rq":
         return shrink * raw, ""
-    if key in _OF_ELEMENTS and 1.0 - share > _QUIET:
-        return math.nan, f"{told} and makes elements of its own"
+    if key in OF_ELEMENTS and 1.0 - share > _QUIET:
+        return math.nan, f"{told} and makes elements of its own (limit {100.0 * _QUIET:g} %)"
     limit = _SHAPE_NOISE if key in {"Rsk", "Rku"} else LARGEST_NOISE_SHARE
     if 1.0 - share > limit:
         return math.nan, f"{told} (limit {100.0 * limit:g} %)"
@@ -206,6 +218,12 @@ def _sums(values: Array) -> Array:
     """Sum of the finite values of each row, and their number (N, 2)."""
     known = np.isfinite(values)
     return np.stack([np.where(known, values, 0.0).sum(axis=1), known.sum(axis=1)], axis=1)
+
+
+def _middle(values: Array) -> float:
+    """Mean of the finite values; NaN for none."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else math.nan
 
 
 def _mean(sums: Array, keep: Bools) -> float:
