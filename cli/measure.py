@@ -53,7 +53,7 @@ def roughness(
     Lengths are mm. Exit 3: a patch's Sq is withheld or mostly uncertain.
     """
     from calibration.atomic import require_folder, write_text
-    from scope.region_text import parse_region
+    from scope.region_text import parse_region, require_names
     from scope.roughness_report import roughness_csv, roughness_page, roughness_text
     from scope.roughness_run import options_from_text, run_roughness
 
@@ -63,6 +63,7 @@ def roughness(
                 require_folder(path)
         try:
             regions = [parse_region(text) for text in region or []]
+            require_names([name for name, _ in regions])
             options = options_from_text(form, s_filter=s_filter, l_filter=l_filter, stripe_width=stripe_width)
             steps = None if pitch is None else _steps(pitch)
         except ValueError as error:

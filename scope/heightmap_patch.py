@@ -15,6 +15,8 @@ from scope.mesh import lattice_index, lattice_lines
 from scope.region import Region
 
 LEAST_POINTS = 1000
+DEEPEST = 10.0  # mm rms: beyond, it is no roughness but a shape or a wrong unit
+_FINEST_PITCH = 1e-3  # mm: finer than a laser scanner samples
 _LARGEST_SKEW = 0.17  # |cos| between rows and columns: beyond 10 degrees the lattice is no rectangle
 
 
@@ -52,8 +54,11 @@ def patch_heights(cloud: ScanCloud, region: Region | None = None) -> HeightMap:
             f"the region holds a single profile of {len(part)} points; an areal measurement needs a scan of many "
             "frames: choose a wider region"
         )
+    _refuse_walls(part)
     frame = _Levelled.of(part)
     sigma = _height_sigma(part, frame)
+    if part.sensors is None:
+        notes = (*notes, "the cloud does not tell where its sensor was: heights count towards +z")
     if not np.isfinite(sigma).any():
         notes = (*notes, "the points carry no sigma: their noise is not predicted")
     if min(index.shape) < 2:
@@ -62,6 +67,11 @@ def patch_heights(cloud: ScanCloud, region: Region | None = None) -> HeightMap:
     if skew > _LARGEST_SKEW:
         why = f"warning: rows and columns of the scan meet at {np.degrees(np.arccos(skew)):.0f} degrees"
         return _gridded(part, frame, (*notes, why))
+    if max(steps) < _FINEST_PITCH:
+        notes = (
+            *notes,
+            f"warning: a pitch of {max(steps):.3g} mm is finer than a laser scanner's: are the data in mm?",
+        )
     found = index >= 0
     z, spread, points = (np.full((*index.shape, *tail), np.nan) for tail in ((), (), (3,)))
     z[found], spread[found], points[found] = (
@@ -144,6 +154,30 @@ def _of_laser(values: tuple[float, ...], part: ScanCloud, unknown: float) -> flo
     return values[laser] if laser < len(values) else unknown
 
 
+def _refuse_walls(part: ScanCloud) -> None:
+    """``MeasurementError`` where the points scatter along the sight by what no roughness does.
+
+    Seen from the sensor, since a plane through points that are deeper than wide turns on end and hides it.
+    """
+    if part.sensors is None:
+        return
+    sight = part.points.mean(axis=0) - np.nanmean(part.sensors.centre, axis=0)
+    if not np.isfinite(sight).all() or not sight.any():
+        return
+    sight = sight / np.linalg.norm(sight)
+    offset = part.points - part.points.mean(axis=0)
+    depth = offset @ sight
+    flat = offset - depth[:, None] * sight
+    axes = np.linalg.eigh(flat.T @ flat)[1][:, 1:]
+    design = flat @ axes
+    spread = float(np.std(depth - design @ np.linalg.lstsq(design, depth, rcond=None)[0]))
+    if spread > DEEPEST:
+        raise MeasurementError(
+            f"the points scatter by {spread:.3g} mm rms along the sight, which is no roughness (limit {DEEPEST:g} mm): "
+            "check that the data are in mm and that the region is one surface"
+        )
+
+
 def _thinned(index: Ints) -> Ints:
     """Index without the rows and columns that are empty at a fixed rhythm (every other frame is another laser's)."""
     for axis in (0, 1):
@@ -211,6 +245,7 @@ def _gridded(part: ScanCloud, frame: _Levelled, notes: tuple[str, ...]) -> Heigh
         z=z.reshape(x.shape),
         pitch=(pitch, pitch),
         points=_on_plane(part, frame, x, y, z),
+        in_order=False,
         form="plane",
         notes=(*notes[:-1], told),
     )

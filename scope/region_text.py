@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,13 @@ def parse_region(text: str) -> tuple[str, Region]:
     from scope.heightmap_model import NearMesh, read_mesh
 
     return label, NearMesh(read_mesh(Path(rest)))
+
+
+def require_names(names: Sequence[str]) -> None:
+    """``ValueError`` where two regions have one name: their results could not be told apart."""
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{names.count(name)} regions are called {name!r}; give each a NAME of its own")
 
 
 def _box(rest: str, text: str) -> Box:

@@ -15,16 +15,16 @@ from scope.heightmap_edges import refuse_edges
 from scope.heightmap_filter import l_filter, least_s_index, s_filter
 from scope.heightmap_form import remove_form
 from scope.heightmap_model import Mesh, remove_model
-from scope.heightmap_patch import LEAST_POINTS, patch_heights
+from scope.heightmap_patch import DEEPEST, LEAST_POINTS, patch_heights
 from scope.region import Region
+from scope.roughness_chance import chance
 from scope.roughness_directions import Told, direction_parameters
-from scope.roughness_estimate import Estimate, Evidence, chance, estimate
+from scope.roughness_estimate import Estimate, Evidence, estimate
 from scope.roughness_gates import areal_table, trust_in_sigma
 from scope.roughness_noise import SIGMA_TRUST, Noise, predicted_noise, repeat_noise
 from scope.roughness_table import Parameter
 from scope.roughness_texture import Autocorrelation
 
-LARGEST_PLAUSIBLE = 10.0  # mm rms about the form: beyond, it is no roughness but a shape or a wrong unit
 _LARGEST_OF_PATCH = 0.2  # of the patch's shorter side: beyond, likewise
 _WIDE_STRIPE = 0.02  # of Sq that its width averages away
 _SMALL_PATCH = 40.0  # correlation lengths on a side, for 10 %
@@ -42,6 +42,18 @@ class RoughnessOptions:
     sigma_trust: float = SIGMA_TRUST  # relative standard uncertainty of the points' sigma
     uncertainty: bool = True  # False saves the time of it
     edges: bool = False  # True: a patch that straddles an edge is measured all the same
+
+    def __post_init__(self) -> None:
+        for name, index in (("S", self.s_filter), ("L", self.l_filter)):
+            if index is not None and not 0.0 < index < math.inf:
+                raise ValueError(
+                    f"the {name}-filter of {index:g} mm has no length; give a nesting index in mm, or none"
+                )
+        if self.s_filter is not None and self.l_filter is not None and self.s_filter >= self.l_filter:
+            raise ValueError(
+                f"the S-filter of {self.s_filter:g} mm takes away what the L-filter of {self.l_filter:g} mm would leave; "
+                "the L-filter must be the longer"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,7 +196,7 @@ def _formed(heights: HeightMap, options: RoughnessOptions) -> HeightMap:
     cropped = heights.cropped()
     formed = remove_form(cropped, options.form) if options.model is None else remove_model(cropped, options.model)
     spread = float(np.nanstd(formed.z))
-    limit = min(LARGEST_PLAUSIBLE, _LARGEST_OF_PATCH * min(formed.size))
+    limit = min(DEEPEST, _LARGEST_OF_PATCH * min(formed.size))
     if spread > limit:
         raise MeasurementError(
             f"the heights spread by {spread:.3g} mm rms about the {formed.form}, which is no roughness of a patch of "

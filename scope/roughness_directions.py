@@ -20,7 +20,8 @@ _BLOCKS = 24  # of neighbouring profiles, that the jackknife leaves out one at a
 _FEWEST_BLOCKS = 4
 _FEW_GAPS = 0.01  # fewer need no looking into
 _GAP_DRAWS = 3
-_OVERLAP = 1.3  # gaps that are cut again fall in part on those that are there
+_OVERLAP = 1.8  # gaps that are cut again fall in part on those that are there
+_ELEMENT_DOUBT = 2.0  # times the change that more smoothing makes
 _SHAPES = frozenset({"Rsk"})  # about zero: a relative change means nothing
 
 
@@ -138,9 +139,9 @@ def _model_error(key: str, one: Found, direction: Direction) -> float:
     not change when they are smoothed further.
     """
     if key == "Rdq":
-        return 0.6 * (direction.regain - 1.0) * one.value if direction.smoothed_slopes() else 0.0
+        return direction.regain.doubt * one.value if direction.smoothed_slopes() else 0.0
     if key in direction.doubt:
-        return direction.doubt[key] * one.value
+        return _ELEMENT_DOUBT * direction.doubt[key] * one.value
     if key not in SCALED:
         return 0.0
     return (0.1 if key == "Ra" else 0.25) * abs(one.raw - one.value)
@@ -191,9 +192,13 @@ def _gap_spread(z: Array, profiles: Profiles, direction: Direction, rng: np.rand
 
 def _independent(z: Array) -> float:
     """How many unrelated profiles there are: their number over the correlation's reach across them, at least 2."""
-    centred = np.nan_to_num(z - np.nanmean(z))
     known = np.isfinite(z).astype(np.float64)
+    if not known.any():
+        return 2.0
+    centred = np.nan_to_num(z - np.nanmean(z))
     variance = float((centred**2).sum() / known.sum())
+    if variance == 0.0:
+        return 2.0
     reach = 1.0
     for lag in range(1, len(z) // 2):
         pairs = float((known[lag:] * known[:-lag]).sum())

@@ -1,10 +1,11 @@
-"""All areal parameters of a map with what is known of its noise taken out, and how far chance moves them."""
+"""All areal parameters of a map, with what is known of its noise taken out."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from scope.heightmap_filter import SAMPLES_PER_INDEX, gaussian
 from scope.roughness_abbott import AbbottCurve, core_parameters, percentile_parameters, volume_parameters
 from scope.roughness_areal import developed_area_ratio, gradient_products, height_parameters
 from scope.roughness_noise import Noise, added_noise, calmed
+from scope.roughness_regain import Regain, regain
 from scope.roughness_texture import Texture, texture
 
 LINEAR = (
@@ -21,7 +23,7 @@ LINEAR = (
 )  # fmt: skip
 SHARES = ("Smr1", "Smr2")
 _DRAWS = 4  # of noise that is added
-_FEW_GAPS = 0.01  # fewer need no looking into
+_BANDS = 8  # of rows, whose scatter tells how sure the regain of slopes is
 _QUIET_SLOPES = 0.5  # noise below this share of the slopes' variance needs no smoothing before it is subtracted
 
 
@@ -37,7 +39,7 @@ class Evidence:
     slope_noise: Array  # (2,) variance of the slopes that noise predicts, down and along; 0 with a repeat
     slope_index: tuple[float, float]  # nesting index (mm, down and along) of that smoothing, 0 for none
     stripe_width: float = 0.0  # mm, one sigma of the stripe's profile, down the rows; 0 where it is not known
-    slope_regain: float = 1.0  # factor that puts back what the smoothing took from Sdq, see `regained`
+    slope_regain: Regain = field(default_factory=Regain)  # what the smoothing took from Sdq
     answers: Mapping[str, float] = field(default_factory=dict)  # see `answers_to_noise`
     stripe_left: float = 1.0  # share of what that width averages that is still missing in the heights
 
@@ -87,19 +89,19 @@ class Evidence:
         slopes = gradient_products(*self.slope_maps, self.pitch) - self.slope_noise
         return 0.5 * self.stripe_width**2 * max(float(slopes[0]), 0.0) / sq**2 if sq > 0.0 else 0.0
 
-    def regained(self) -> float:
-        """Factor that puts back what smoothing took from Sdq: its fall when the smoothing is made 1.4 times as long.
-
-        1 where there is none; NaN where noise hides the slopes.
-        """
+    def regained(self) -> Regain:
+        """What the smoothing took from Sdq; see `regain`."""
         if self.slope_index == (0.0, 0.0):
-            return 1.0
+            return Regain()
         first, second = self.slope_maps
         more = [_smoothed(values, self.pitch, self.slope_index) for values in (first, second)]
-        before = (gradient_products(first, second, self.pitch) - self.slope_noise).sum()
-        # The noise that is left behind twice the smoothing: white noise of slopes falls with its fourth power.
-        after = (gradient_products(more[0], more[1], self.pitch) - self.slope_noise / 4.0).sum()
-        return math.sqrt(float(before / after)) if before > 0.0 and after > 0.0 else math.nan
+        bands = [slice(*ends) for ends in pairwise(np.linspace(0, len(first), _BANDS + 1).astype(int))]
+        # white noise of slopes falls with the fourth power of the window: to a quarter behind twice its variance
+        before, after = (
+            np.array([(gradient_products(a[band], b[band], self.pitch) - noise).sum() for band in bands])
+            for (a, b), noise in (((first, second), self.slope_noise), (more, self.slope_noise / 4.0))
+        )
+        return regain(before, after)
 
     def part(self, keep: Bools) -> Evidence:
         """Evidence with the heights outside a mask (rows, columns) turned into gaps."""
@@ -175,7 +177,7 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
     clean |= {"Sal": found.Sal, "Str": found.Str, "Std": found.Std}
     smoothed = gradient_products(first, first, pitch).sum()
     surface = float(slopes.sum())
-    clean["Sdq"] = evidence.slope_regain * math.sqrt(surface) if surface > 0.0 else math.nan
+    clean["Sdq"] = evidence.slope_regain.factor * math.sqrt(surface) if surface > 0.0 else math.nan
     less = clean["Sdq"] / math.sqrt(smoothed) if smoothed > 0.0 else math.nan
     clean["Sdr"] = 100.0 * developed_area_ratio(first, pitch, scale=less)
     if with_raw:
@@ -209,65 +211,6 @@ def answers_to_noise(z: Array, noise: Noise, rng: np.random.Generator) -> dict[s
     }
 
 
-def chance(evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *, tiles: int = 24) -> dict[str, float]:
-    """Standard uncertainty of every parameter from noise, sampling and gaps together: the delete-a-tile jackknife.
-
-    The map is cut into tiles at least four correlation lengths wide where that leaves enough of them; the spread of the
-    parameters with one tile left out at a time tells how they vary from patch to patch of this size (Efron and
-    Stein 1981). Noise is part of what varies. The extremes Sp, Sv, Sz are no averages, so theirs is the spread of
-    the extremes of single tiles, as Gumbel's law has it. On a regular texture all tiles are alike and hide what gaps do:
-    that is found by cutting the map's own gaps into it once more, elsewhere.
-    """
-    labels, count = _tiles(evidence.z, _correlation_lengths(estimate_.texture), evidence.pitch, tiles)
-    found: list[dict[str, float]] = []
-    extremes: list[dict[str, float]] = []
-    for tile in range(count):
-        inside = labels == tile
-        known = evidence.z[inside]
-        known = known[np.isfinite(known)]
-        if len(known) < 10:
-            continue
-        extremes.append({"Sp": float(known.max()), "Sv": float(-known.min()), "Sz": float(np.ptp(known))})
-        found.append(estimate(evidence.part(~inside), with_raw=False).clean)
-    if len(found) < 4:
-        return dict.fromkeys(estimate_.clean, math.nan)
-    spread = {}
-    for name in estimate_.clean:
-        values = np.array([one[name] for one in found])
-        values = values[np.isfinite(values)]
-        if len(values) < 0.5 * len(found):
-            spread[name] = math.nan
-        else:
-            spread[name] = float(np.sqrt((len(values) - 1) * np.mean((values - values.mean()) ** 2)))
-    for name in ("Sp", "Sv", "Sz"):
-        spread[name] = float(np.std([one[name] for one in extremes], ddof=1))
-    for name, moved in _gap_spread(evidence, estimate_, rng).items():
-        spread[name] = math.hypot(spread[name], moved)
-    if math.isfinite(estimate_.clean["Std"]):
-        turned = np.exp(2j * np.radians([one["Std"] for one in found if math.isfinite(one["Std"])]))
-        centred = np.angle(turned / turned.mean()) / 2.0
-        spread["Std"] = float(np.degrees(np.sqrt((len(turned) - 1) * np.mean(centred**2))))
-    return spread
-
-
-def _gap_spread(
-    evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *, draws: int = 4
-) -> dict[str, float]:
-    """Root mean square change (by parameter) that the map's own gaps make when they are cut again at a random shift."""
-    known = np.isfinite(evidence.z)
-    if known.mean() > 1.0 - _FEW_GAPS:
-        return {}
-    changes: dict[str, list[float]] = {name: [] for name in estimate_.clean if name != "Std"}
-    for _ in range(draws):
-        shift = (int(rng.integers(known.shape[0])), int(rng.integers(known.shape[1])))
-        again = estimate(evidence.part(np.roll(known, shift, axis=(0, 1))), with_raw=False).clean
-        for name, found in changes.items():
-            change = again[name] - estimate_.clean[name]
-            if math.isfinite(change):
-                found.append(change)
-    return {name: math.sqrt(sum(c * c for c in found) / len(found)) for name, found in changes.items() if found}
-
-
 def _smoothed(values: Array, pitch: tuple[float, float], index: tuple[float, float]) -> Array:
     """Values behind a Gaussian of a nesting index, their gaps kept."""
     if index == (0.0, 0.0):
@@ -286,30 +229,3 @@ def _distribution(z: Array) -> dict[str, float]:
         **core_parameters(curve),
         **volume_parameters(curve),
     }
-
-
-def _correlation_lengths(found: Texture) -> tuple[float, float]:
-    """Lags (mm) down and along at which the correlation first falls to 0.2, the map's own reach where it does not."""
-    lengths = []
-    for axis in (0, 1):
-        lag, correlation = found.acf.profile(axis)
-        below = np.flatnonzero(correlation[1:] <= 0.2)
-        lengths.append(float(lag[below[0] + 1]) if len(below) else float(lag[-1]))
-    return lengths[0], lengths[1]
-
-
-def _tiles(z: Array, lengths: tuple[float, float], pitch: tuple[float, float], most: int) -> tuple[Array, int]:
-    """Label (rows, columns) of each height's tile, and how many tiles there are: 8 to about ``most``."""
-    room = [max(1.0, n * p / max(4.0 * length, 1e-12)) for n, p, length in zip(z.shape, pitch, lengths, strict=True)]
-    size = [n * p for n, p in zip(z.shape, pitch, strict=True)]
-    while room[0] * room[1] > most:
-        larger = 0 if size[1] / room[1] >= size[0] / room[0] and room[0] > 1.0 else 1
-        room[larger] = max(1.0, room[larger] * 0.95) if room[larger] > 1.0 else room[larger]
-        if room[larger] == 1.0:
-            room[1 - larger] *= 0.95
-    counts = [max(1, int(r)) for r in room]
-    while counts[0] * counts[1] < 8:
-        counts[0 if size[0] / counts[0] >= size[1] / counts[1] else 1] += 1
-    rows = np.minimum(np.arange(z.shape[0]) * counts[0] // z.shape[0], counts[0] - 1)
-    columns = np.minimum(np.arange(z.shape[1]) * counts[1] // z.shape[1], counts[1] - 1)
-    return rows[:, None] * counts[1] + columns[None, :], counts[0] * counts[1]

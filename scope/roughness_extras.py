@@ -12,6 +12,7 @@ from calibration.geometry import Array, Bools
 
 # Joint roughness coefficient from Z2 at a sampling step (mm): slope and offset of the line, after Yu and Vayssade (1991).
 _JRC = {0.25: (60.32, -4.51), 0.5: (61.79, -3.47), 1.0: (64.22, -2.31)}
+_FEWEST_SAMPLES = 20  # of a base length: fewer miss its peaks
 _BASE = 100.0  # mm, base length of a mean profile depth (ISO 13473-1)
 
 
@@ -108,9 +109,11 @@ def profile_depths(z: Array, pitch: float) -> Array:
     """
     samples = round(_BASE / pitch)
     result = np.zeros((len(z), 2))
+    if samples < _FEWEST_SAMPLES:
+        return result
     place = np.linspace(-0.5, 0.5, samples)
     half = samples // 2
-    for start in range(0, z.shape[1] - samples + 1, max(samples, 1)):
+    for start in range(0, z.shape[1] - samples + 1, samples):
         part = z[:, start : start + samples]
         for row in np.flatnonzero(np.isfinite(part).mean(axis=1) >= 0.9):
             known = np.isfinite(part[row])

@@ -54,7 +54,7 @@ def areal_table(
         elif key in {"Sdq", "Sdr"} and evidence.slope_index != (0.0, 0.0):
             note = (
                 f"behind a Gaussian S-filter of {evidence.slope_index[0]:.3g} x {evidence.slope_index[1]:.3g} mm; "
-                f"the {100.0 * (1.0 - 1.0 / evidence.slope_regain):.1f} % of Sdq that it took are put back"
+                f"the {100.0 * (1.0 - 1.0 / evidence.slope_regain.factor):.1f} % of Sdq that it took are put back"
             )
         expanded = None
         if spread and not reason and math.isfinite(spread[key]):
@@ -85,7 +85,7 @@ def _model_error(key: str, evidence: Evidence, found: Estimate, noise: Noise) ->
     """
     clean, raw = found.clean, found.raw
     if key in {"Sdq", "Sdr"}:
-        return (0.6 if key == "Sdq" else 1.2) * (evidence.slope_regain - 1.0) * clean[key]
+        return (1.0 if key == "Sdq" else 2.0) * evidence.slope_regain.doubt * clean[key]
     width = 0.0
     if key == "Sq" or key in LINEAR:
         width = 0.5 * evidence.stripe_loss(clean["Sq"]) * clean[key]
@@ -97,7 +97,7 @@ def _model_error(key: str, evidence: Evidence, found: Estimate, noise: Noise) ->
         return max(abs(raw[key] - clean[key]), 1.0 - (clean["Sq"] / raw["Sq"]) ** 2)
     if key in LINEAR:
         excess = min(1.0, abs(clean["Ssk"]) / 2.0 + abs(clean["Sku"] - 3.0) / 3.0)
-        return math.hypot(width, (0.02 + 0.5 * excess) * abs(raw[key] - clean[key]))
+        return math.hypot(width, (0.05 + 0.8 * excess) * abs(raw[key] - clean[key]))
     return width
 
 

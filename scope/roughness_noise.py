@@ -123,8 +123,17 @@ def repeat_noise(first: HeightMap, repeat: HeightMap, *, stripe_width: float = m
     ValueError
         A map without points.
     """
+    if first.points is None or repeat.points is None:
+        raise ValueError("maps need their points to be compared")
+    if np.array_equal(first.points, repeat.points, equal_nan=True):
+        raise MeasurementError("the repeat is the very same scan, whose noise recurs in it: scan the patch once more")
     moved = onto_lattice(first, repeat)
     shift, correlation = _best_shift(first.z, moved)
+    if correlation < 0.5:  # a cloud that does not know its sensor may have its heights the other way up
+        other, reverse = _best_shift(first.z, -moved)
+        if reverse > max(correlation, 2.0 * _LEAST_CORRELATION):
+            repeat = repeat.with_heights(-repeat.z)
+            moved, shift, correlation = -moved, other, reverse
     pitch = np.array(first.pitch)
     if np.any(shift != 0.0):
         moved = onto_lattice(first, repeat, shift=(float(shift[0]), float(shift[1])))
@@ -144,8 +153,11 @@ def repeat_noise(first: HeightMap, repeat: HeightMap, *, stripe_width: float = m
     common = float(((a - a.mean()) * (b - b.mean())).mean())
     floor = math.sqrt(max(float(a.var()) - common, 0.0))  # not their difference: interpolation calms the repeat
     displacement = float(np.hypot(*((_sampling_offset(first, repeat) + shift) * pitch)))
+    if not (first.in_order and repeat.in_order):
+        displacement = math.nan
     width = 2.0 * max(first.pitch) if math.isnan(stripe_width) else 2.4 * stripe_width
-    notes = [f"noise from a repeat displaced by {displacement:.3g} mm, correlation {correlation:.3f}"]
+    told = "that may be displaced or not" if math.isnan(displacement) else f"displaced by {displacement:.3g} mm"
+    notes = [f"noise from a repeat {told}, correlation {correlation:.3f}"]
     if displacement <= width:
         notes.append(
             f"warning: the repeat is displaced by less than a stripe's width ({width:.3g} mm): speckle and pixel phase "

@@ -16,6 +16,7 @@ _CLASSES: tuple[tuple[float, float], ...] = ((0.04, 0.08), (0.13, 0.25), (0.4, 0
 SECTIONS = 5  # section lengths in an evaluation length (ISO 21920-3)
 DISCRIMINATION = 0.10  # of Rz: a hill or dale lower than this is none (ISO 21920-2)
 _FEWEST = 2  # section lengths that a cut-off found by itself must leave
+_BRIDGE = 3  # samples: a lost height or two end no element
 _MOST_PROFILES = 200  # whose elements are looked at one by one
 
 
@@ -119,12 +120,12 @@ def elements(profile: Array, pitch: float, threshold: float) -> tuple[float, flo
     """Mean width (mm) and mean height (mm) of the elements of a profile (N,) mm about its mean line: RSm and Rc.
 
     An element runs from one upward crossing of the mean line to the next; a hill or a dale that stays within
-    ``threshold`` (mm) of the line is not one and does not end an element. Elements do not reach across gaps; NaN where
-    there is none.
+    ``threshold`` (mm) of the line is not one and does not end an element. Elements reach across gaps of up to three samples,
+    which straight lines bridge, and no farther; NaN where there is none.
     """
     widths, heights = 0.0, 0.0
     count = 0
-    for piece in _pieces(profile):
+    for piece in _pieces(_bridged(profile)):
         crossings = _upward_crossings(piece, threshold)
         if len(crossings) < 2:
             continue
@@ -147,6 +148,17 @@ def _upward_crossings(piece: Array, threshold: float) -> Array:
     below = np.flatnonzero(piece <= 0.0)
     last = below[np.searchsorted(below, beyond[rises + 1]) - 1]
     return np.asarray(last + piece[last] / (piece[last] - piece[last + 1]))
+
+
+def _bridged(profile: Array) -> Array:
+    """Profile (N,) mm with a straight line over every gap of up to three samples."""
+    known = np.flatnonzero(np.isfinite(profile))
+    if len(known) in (0, len(profile)):
+        return profile
+    bridge = np.interp(np.arange(len(profile)), known, profile[known], left=np.nan, right=np.nan)
+    before = np.searchsorted(known, np.arange(len(profile)), "right") - 1
+    width = np.append(np.diff(known), 1)[np.maximum(before, 0)] - 1
+    return np.where(width <= _BRIDGE, bridge, profile)
 
 
 def _pieces(profile: Array) -> Iterator[Array]:

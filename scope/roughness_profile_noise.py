@@ -19,12 +19,14 @@ from scope.roughness_profile import (
     profile_parameters,
     roughness_profiles,
 )
+from scope.roughness_regain import Regain, regain
 
 SCALED = frozenset({"Ra", "Rz", "Rt", "Rc", "MPD"})
 OF_ELEMENTS = frozenset({"RSm", "Rc"})
 LARGEST_NOISE_SHARE = 0.8  # of the variance: beyond, shapes and scaled heights are not given
 _SHAPE_NOISE = 0.5  # of the variance: a profile's skewness and kurtosis rest on fewer heights than an area's
 _QUIET = 0.5  # share of the variance: more noise than this makes elements of its own even when it is smoothed
+_GROUPS = 8  # of profiles, whose scatter tells how sure the regain of slopes is
 _QUIET_SLOPES = 0.05  # share of the squared slopes that is subtracted without smoothing
 
 
@@ -45,7 +47,7 @@ class Direction:
     product: Array | None  # (N, 3): sums over what both scans saw: z1 z2, z1 z1, and their number
     noise_variance: float  # mm2, of the roughness heights, predicted; 0 where unknown or repeated
     slope: Array  # (N, 2): sum of the products of slopes behind the S-filter of three pitches, and their number
-    regain: float  # factor that puts back what that filter takes from Rdq
+    regain: Regain  # what that filter takes from Rdq
     slope_noise: float  # variance of unsmoothed slopes that noise predicts
     joint: Joint
     elements: dict[str, Array]  # (N,) each: RSm and Rc of the profiles with their noise smoothed away
@@ -73,14 +75,17 @@ class Direction:
             lone = float(np.mean(np.square(np.diff(added, axis=1)))) / pitch**2
         slope, smoother = (_smooth_slopes(rough, other, pitch, longer) for longer in (1.0, math.sqrt(2.0)))
         everything = np.ones(len(z), dtype=np.bool_)
-        before, after = _mean(slope, everything), _mean(smoother, everything)
+        groups = np.arange(len(z)) * _GROUPS // len(z)
+        before, after = (
+            np.bincount(groups, sums[:, 0], minlength=_GROUPS).astype(np.float64) for sums in (slope, smoother)
+        )
         made = cls(
             values=profile_parameters(profiles),
             square=_sums(rough * rough),
             product=None if again is None else np.column_stack([_sums(rough * again), _sums(rough * rough + 0.0 * again)[:, 0]]),
             noise_variance=predicted,
             slope=slope,
-            regain=math.sqrt(before / after) if before > 0.0 and after > 0.0 else math.nan,
+            regain=regain(before, after),
             slope_noise=lone,
             joint=Joint.gather(z, pitch, second=second, noise_variance=floor, sample=None if noise.sample is None else added),
             elements={},
@@ -155,7 +160,9 @@ class Direction:
             return math.nan, told
         square = _mean(self.slope, keep)
         return (
-            (self.regain * math.sqrt(square), "") if square > 0.0 else (math.nan, "noise is all of the measured slopes")
+            (self.regain.factor * math.sqrt(square), "")
+            if square > 0.0
+            else (math.nan, "noise is all of the measured slopes")
         )
 
 

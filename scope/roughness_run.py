@@ -7,10 +7,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from calibration.errors import FileError
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
-from scope.heightmap_files import ENDINGS, read_heights, within
+from scope.heightmap import HeightMap
+from scope.heightmap_files import ENDINGS, NoLatticeError, read_heights, read_xyz, within
 from scope.region import Region
 from scope.roughness import Roughness, RoughnessOptions, measure_heights, measure_roughness
 
@@ -34,6 +37,26 @@ def options_from_text(
     return replace(options, form=form)
 
 
+def _map_of(source: Path, pitch: tuple[float, float] | None) -> HeightMap | None:
+    """Height map of a file; None where it holds a cloud."""
+    if source.suffix.lower() not in ENDINGS:
+        return None
+    try:
+        return read_heights(source, pitch=pitch)
+    except NoLatticeError:
+        return None
+
+
+def _cloud_of(source: Path) -> ScanCloud:
+    if source.suffix.lower() != ".xyz":
+        return ScanCloud.load(source)
+    points = read_xyz(source)
+    bad = int((~np.isfinite(points).all(axis=1)).sum())
+    if bad:
+        raise FileError(f"{source}: {bad} of {len(points)} points are NaN or infinite; remove them, then try again")
+    return ScanCloud.from_points(points)
+
+
 def run_roughness(
     source: Path,
     regions: Sequence[tuple[str, Region | None]],
@@ -44,20 +67,21 @@ def run_roughness(
 ) -> list[Roughness]:
     """Measure every region of a cloud (.ply) or of a height map (.npy, .asc, .txt, .xyz, .sdf, .x3p).
 
-    ``pitch`` is that of a height map which tells none, mm (down, along). An error in one region names it.
+    An .xyz whose points stand on no lattice is a cloud without scan order.     ``pitch`` is that of a height map which tells none, mm (down, along). An error in one region names it.
     """
-    is_map = source.suffix.lower() in ENDINGS
+    heights = _map_of(source, pitch)
+    is_map = heights is not None
     if is_map and (noise is not None or options.model is not None):
         raise FileError(f"{source}: --noise and --form model: need a cloud; a height map has no places in space")
-    if is_map:
-        heights = read_heights(source, pitch=pitch)
-    else:
-        cloud = ScanCloud.load(source)
+    if not is_map:
+        if pitch is not None:
+            raise FileError(f"{source}: is a cloud, which has a pitch of its own; leave --pitch away")
+        cloud = _cloud_of(source)
         repeat = None if noise is None else ScanCloud.load(noise)
     found = []
     for name, region in regions or [(source.name, None)]:
         try:
-            if is_map:
+            if heights is not None:
                 patch = heights if region is None else within(heights, region)
                 found.append(measure_heights(patch, options=options, name=name))
             else:
