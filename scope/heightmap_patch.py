@@ -54,7 +54,7 @@ def patch_heights(cloud: ScanCloud, region: Region | None = None) -> HeightMap:
             f"the region holds a single profile of {len(part)} points; an areal measurement needs a scan of many "
             "frames: choose a wider region"
         )
-    _refuse_walls(part)
+    _refuse_depth(part)
     frame = _Levelled.of(part)
     sigma = _height_sigma(part, frame)
     if part.sensors is None:
@@ -154,22 +154,22 @@ def _of_laser(values: tuple[float, ...], part: ScanCloud, unknown: float) -> flo
     return values[laser] if laser < len(values) else unknown
 
 
-def _refuse_walls(part: ScanCloud) -> None:
-    """``MeasurementError`` where the points scatter along the sight by what no roughness does.
+def _refuse_depth(part: ScanCloud) -> None:
+    """``MeasurementError`` where depth scatters, from frame to frame and line to line, by what no roughness does.
 
-    Seen from the sensor, since a plane through points that are deeper than wide turns on end and hides it.
+    Seen on the scan's own lattice, since a plane through points that are deeper than wide turns on end and hides it.
     """
-    if part.sensors is None:
+    lines = lattice_lines(part)
+    if part.sensors is None or (lines < 0).any():
         return
     sight = part.points.mean(axis=0) - np.nanmean(part.sensors.centre, axis=0)
-    if not np.isfinite(sight).all() or not sight.any():
+    length = float(np.linalg.norm(sight))
+    if not length > 0.0:
         return
-    sight = sight / np.linalg.norm(sight)
-    offset = part.points - part.points.mean(axis=0)
-    depth = offset @ sight
-    flat = offset - depth[:, None] * sight
-    axes = np.linalg.eigh(flat.T @ flat)[1][:, 1:]
-    design = flat @ axes
+    depth = (part.points - part.points.mean(axis=0)) @ (sight / length)
+    u, v = (values - values.mean() for values in (part.frame.astype(np.float64), lines.astype(np.float64)))
+    u, v = (values / max(float(np.abs(values).max()), 1.0) for values in (u, v))
+    design = np.stack([np.ones(len(u)), u, v, u * u, u * v, v * v], axis=1)
     spread = float(np.std(depth - design @ np.linalg.lstsq(design, depth, rcond=None)[0]))
     if spread > DEEPEST:
         raise MeasurementError(

@@ -13,6 +13,7 @@ from scope.roughness_profile_noise import LARGEST_NOISE_SHARE
 from scope.roughness_table import AREAL, Parameter
 from scope.roughness_texture import ISOTROPIC
 
+_LARGEST_TURN = 30.0  # degrees, k = 2: a direction less certain than this is none
 _SLOPE_UNCERTAINTY = 0.10  # k = 2: slopes that noise leaves less certain than this are withheld
 _SLOPE_NOISE = 12.0  # raw over clean: beyond, noise is 99.3 % of the squared slopes
 _SLOPE_SAMPLING = 0.80  # of Sdq left at twice the pitch: below, the pitch decides it
@@ -59,6 +60,8 @@ def areal_table(
         expanded = None
         if spread and not reason and math.isfinite(spread[key]):
             expanded = 2.0 * math.sqrt(spread[key] ** 2 + trust[key] ** 2 + extra**2)
+        if key == "Std" and not reason and expanded is not None and expanded > _LARGEST_TURN:
+            reason = f"the direction is uncertain by {expanded:.0f} degrees (k = 2, limit {_LARGEST_TURN:g}): choose a larger region"
         if key in {"Sdq", "Sdr"} and not reason:
             reason = _slope_gate(evidence, found, expanded if key == "Sdq" else None)
         table[key] = Parameter(

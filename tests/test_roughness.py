@@ -20,8 +20,9 @@ from scope.heightmap_form import remove_form
 from scope.heightmap_patch import patch_heights
 from scope.region import Box
 from scope.roughness import RoughnessOptions, measure_heights, measure_roughness
+from scope.roughness_align import onto_lattice
 from scope.roughness_estimate import raw_parameters
-from scope.roughness_noise import neighbour_scatter, onto_lattice, repeat_noise
+from scope.roughness_noise import neighbour_scatter, repeat_noise
 from scope.roughness_run import run_roughness
 
 QUICK = RoughnessOptions(uncertainty=False)
@@ -162,8 +163,9 @@ def test_a_repeat_of_something_else_is_refused():
 def test_neighbour_scatter_bounds_the_noise():
     rng = np.random.default_rng(35)
     z = rough((300, 300), 10.0, rng) + 0.02 * rng.standard_normal((300, 300))
-    assert neighbour_scatter(z)[0] == pytest.approx(0.02, rel=0.02)
-    assert neighbour_scatter(rough((300, 300), 10.0, rng))[0] < 5e-4
+    for every in (1, 2, 3):
+        assert neighbour_scatter(z, every=every).scatter == pytest.approx((0.02, 0.02), rel=0.03)
+    assert max(neighbour_scatter(rough((300, 300), 10.0, rng)).scatter) < 5e-4
 
 
 def test_a_sigma_that_is_too_large_is_found_out():
@@ -338,6 +340,11 @@ def test_command_refuses(scan_file):
         (("--region", "box:90,91,0,1"), 1, "the region is empty"),
         (("--csv", "/nowhere/t.csv"), 1, "does not exist"),
         (("--l-filter", "50"), 1, "longer than the patch"),
+        (("--s-filter", "2", "--l-filter", "1"), 2, "L-filter"),
+        (("--s-filter", "0"), 2, "S-filter"),
+        (("--pitch", "0.1"), 1, "a pitch of its own"),
+        (("--region", "a=box:0,5,0,8", "--region", "a=box:0,4,0,8"), 2, "called"),
+        (("--noise", scan_file), 1, "very same scan"),
     ):
         done = command(scan_file, *words)
         assert done.exit_code == status, (words, done.output)

@@ -118,3 +118,13 @@ def test_mean_profile_depth_needs_its_length():
     z = (0.8 * np.sin(2 * np.pi * x / 10.0) + 0.05 * x)[None, :]  # whole waves, tilted
     assert mean_profile_depth(z, 0.1) == pytest.approx(0.8, rel=0.05)  # the regression line tilts by a wave's share
     assert math.isnan(mean_profile_depth(z[:, :900], 0.1))
+    assert math.isnan(mean_profile_depth(z, 100.0))  # a base length of one sample has no two halves
+
+
+def test_a_few_lost_heights_end_no_element():
+    """A fifth missing at random left only short elements, of half the width."""
+    rng = np.random.default_rng(3)
+    z = gaussian_filter1d(rng.standard_normal(20_000), 6.0)
+    whole = elements(z, 0.01, 0.1 * np.ptp(z) / 3.0)
+    part = elements(np.where(rng.random(len(z)) < 0.2, np.nan, z), 0.01, 0.1 * np.ptp(z) / 3.0)
+    assert part == pytest.approx(whole, rel=0.05)
