@@ -102,7 +102,8 @@ def _read_table(path: Path) -> tuple[Array, tuple[float, float] | None]:
         if name.lower() == "nan":
             raise ValueError("a header line begins with nan")
         header[name.lower()] = float(value)
-    z = np.array([[float(cell) for cell in line.replace(",", " ").split()] for line in lines if line.strip()])
+    rows = [line.replace(",", " ").replace(";", " ") for line in lines if line.strip()]
+    z = np.loadtxt(rows, ndmin=2) if rows else np.zeros((0, 0))
     if z.size == 0:
         raise ValueError("it holds no heights")
     if not header:

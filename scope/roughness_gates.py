@@ -13,6 +13,7 @@ from scope.roughness_profile_noise import LARGEST_NOISE_SHARE
 from scope.roughness_table import AREAL, Parameter
 from scope.roughness_texture import ISOTROPIC
 
+_ONE_SIDED = "one-sided: the gaps may hide a greater value"
 _LARGEST_TURN = 30.0  # degrees, k = 2: a direction less certain than this is none
 _SLOPE_UNCERTAINTY = 0.10  # k = 2: slopes that noise leaves less certain than this are withheld
 _SLOPE_NOISE = 12.0  # raw over clean: beyond, noise is 99.3 % of the squared slopes
@@ -51,7 +52,7 @@ def areal_table(
         note = ""
         extra = 0.0 if reason else _model_error(key, evidence, found, noise)
         if key in {"Sp", "Sv", "Sz"} and gap_share > 0.01:
-            note = "one-sided: the gaps may hide a greater value"
+            note = _ONE_SIDED
         elif key in {"Sdq", "Sdr"} and evidence.slope_index != (0.0, 0.0):
             note = (
                 f"behind a Gaussian S-filter of {evidence.slope_index[0]:.3g} x {evidence.slope_index[1]:.3g} mm; "
@@ -72,6 +73,7 @@ def areal_table(
             raw=raw if math.isfinite(raw) else None,
             note=note,
             clause=definition.clause,
+            at_least=note == _ONE_SIDED and not reason,
         )
     if table["Sdq"].value is None and table["Sdr"].value is not None:
         table["Sdr"] = replace(table["Sdr"], value=None, uncertainty=None, reason=table["Sdq"].reason)
