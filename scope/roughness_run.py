@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.errors import FileError
+from calibration.geometry import Pose
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
@@ -19,9 +20,14 @@ from scope.roughness import Roughness, RoughnessOptions, measure_heights, measur
 
 
 def options_from_text(
-    form: str, *, s_filter: float | None = None, l_filter: float | None = None, stripe_width: float | None = None
+    form: str,
+    *,
+    s_filter: float | None = None,
+    l_filter: float | None = None,
+    stripe_width: float | None = None,
+    cloud_from_model: Pose | None = None,
 ) -> RoughnessOptions:
-    """Options as the command line gives them; ``form`` may be ``model:file``, a mesh in the cloud frame.
+    """Options as the command line gives them; ``form`` may be ``model:file``, a mesh in the cloud or its own frame.
 
     ``ValueError`` for a form that is not known, ``FileError`` for a mesh that cannot be read.
     """
@@ -32,7 +38,7 @@ def options_from_text(
     if form.startswith("model:"):
         from scope.heightmap_model import read_mesh
 
-        return replace(options, model=read_mesh(Path(form[6:])))
+        return replace(options, model=read_mesh(Path(form[6:]), cloud_from_model=cloud_from_model))
     require_form(form)
     return replace(options, form=form)
 

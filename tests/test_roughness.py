@@ -334,6 +334,29 @@ def test_command(scan_file):
     assert "http" not in page.replace("http://www.w3.org", "")
 
 
+def test_a_mesh_chooses_the_region_by_its_pose(scan_file):
+    pytest.importorskip("open3d")
+    trimesh = pytest.importorskip("trimesh")
+    folder = scan_file.parent
+    corners = [[-2.5, -3.0, 0.0], [2.5, -3.0, 0.0], [2.5, 3.0, 0.0], [-2.5, 3.0, 0.0]]
+    trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]]).export(folder / "face.stl")
+    pose = np.eye(4)
+    pose[:3, 3] = 5.0, 4.0, 400.0
+    (folder / "pose.json").write_text(json.dumps({"cloud_from_model": pose.tolist(), "score": 1.0}))
+    words = (scan_file, "--region", f"face=mesh:{folder / 'face.stl'}", "--json", "--quiet")
+    found = command(*words, "--pose", folder / "pose.json")
+    assert found.exit_code == 0, found.output
+    size = json.loads(found.stdout)["patches"][0]["bandwidth_mm"]
+    assert (size["patch_along"], size["patch_across"]) == pytest.approx(
+        (5.0, 6.0), abs=0.3
+    )  # and nothing beside its edges
+    assert command(*words).exit_code == 1  # at the origin there is nothing
+    (folder / "refused.json").write_text(json.dumps({"cloud_from_model": None}))
+    refused = command(*words, "--pose", folder / "refused.json")
+    assert refused.exit_code == 1
+    assert "no rigid 4x4" in refused.output
+
+
 def test_command_refuses(scan_file):
     for words, status, told in (
         (("--region", "disc:3"), 2, "disc:3"),
