@@ -40,6 +40,12 @@ def roughness(
     stripe_width: Annotated[
         float | None, typer.Option("--stripe-width", min=0.0, help="One sigma of the stripe on the surface, mm.")
     ] = None,
+    pose: Annotated[
+        Path | None,
+        typer.Option(
+            "--pose", help="Of mesh: and model: files: cloud_from_model as JSON, such as scope pose --json gives."
+        ),
+    ] = None,
     pitch: Annotated[
         str | None, typer.Option("--pitch", help="Of a height map that tells none: mm, or DOWN,ALONG in mm.")
     ] = None,
@@ -53,7 +59,8 @@ def roughness(
     Lengths are mm. Exit 3: a patch's Sq is withheld or mostly uncertain.
     """
     from calibration.atomic import require_folder, write_text
-    from scope.region_text import parse_region
+    from scope.locating import read_transform
+    from scope.region_text import parse_region, require_names
     from scope.roughness_report import roughness_csv, roughness_page, roughness_text
     from scope.roughness_run import options_from_text, run_roughness
 
@@ -61,9 +68,13 @@ def roughness(
         for path in (table, report):
             if path is not None:
                 require_folder(path)
+        placed = None if pose is None else read_transform(pose)
         try:
-            regions = [parse_region(text) for text in region or []]
-            options = options_from_text(form, s_filter=s_filter, l_filter=l_filter, stripe_width=stripe_width)
+            regions = [parse_region(text, cloud_from_model=placed) for text in region or []]
+            require_names([name for name, _ in regions])
+            options = options_from_text(
+                form, s_filter=s_filter, l_filter=l_filter, stripe_width=stripe_width, cloud_from_model=placed
+            )
             steps = None if pitch is None else _steps(pitch)
         except ValueError as error:
             raise typer.BadParameter(str(error)) from error

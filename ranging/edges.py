@@ -20,7 +20,7 @@ from calibration.reason import Reason
 from ranging import surface
 from ranging.kernels import compiled
 from ranging.lattice import Lattice
-from ranging.slope import Slopes, slopes
+from ranging.slope import Slopes, footprint, slopes
 from ranging.spacetime import TAPS, Exposure, follow_points
 
 AWAY = 4.0  # standard deviations from the nearest smooth patch, beyond which a point belongs to none
@@ -40,6 +40,8 @@ class Refined:
     position: Array  # (n, L) px
     sigma: Array  # (n, L) mm along the ray
     reason: Codes  # (n, L)
+    footprint: Array  # (n, L) mm, one sigma of the stripe on the surface; NaN where unknown
+    corrected: Array  # (n, L) share (0 to 1) of what slope and curvature displaced that was taken off
 
 
 def refine(lattice: Lattice, first: int, last: int, exposures: Sequence[Exposure | None] = ()) -> Refined:
@@ -89,15 +91,16 @@ def refine(lattice: Lattice, first: int, last: int, exposures: Sequence[Exposure
             cut = np.where(known, second.apart | (ends[1] < LINES), cut)
         reason[cut & (reason == Reason.RANGED)] = Reason.EDGE
     ranged = reason == Reason.RANGED
-    shift, left = (np.where(ranged, values, 0.0) for values in found.correction(weight))
+    shift, left, share = (np.where(ranged, values, 0.0) for values in found.correction(weight))
     with np.errstate(invalid="ignore", divide="ignore"):
         along = np.einsum("fli,fli->fl", sheet, moved) / steep
         points -= shift[..., None] * (moved - along[..., None] * view)
         sigma = np.hypot(sigma, left * np.abs(along))
     position -= shift
-    for values in (points, position, sigma):
+    across = footprint(found, lattice.rows(first, last))
+    for values in (points, position, sigma, across, share):
         values[~ranged] = np.nan
-    return Refined(points, position, sigma, reason)
+    return Refined(points, position, sigma, reason, across, share)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

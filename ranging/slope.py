@@ -26,7 +26,7 @@ from functools import cache
 
 import numpy as np
 
-from calibration.geometry import Array
+from calibration.geometry import Array, fit_plane
 from ranging import surface
 from ranging.course import follow
 from ranging.kernels import compiled
@@ -71,11 +71,11 @@ class Slopes:
     noise: Array  # of the rest of both, one standard deviation
     variance: Array  # of a position, from which the displacement is to be taken off
 
-    def correction(self, weight: Array | float = 0.0) -> tuple[Array, Array]:
-        """What to take off positions in which the passage has a ``weight`` (n, L): px, and the sigma of what is left.
+    def correction(self, weight: Array | float = 0.0) -> tuple[Array, Array, Array]:
+        """What to take off positions in which the passage has a ``weight`` (n, L): px, the sigma of what is left, the share.
 
-        A displacement that is known less well than the position itself is taken off in part only. Zero where the surface
-        is not known.
+        A displacement that is known less well than the position itself is taken off in part only: ``share`` (0 to 1) of
+        what slope and curvature displaced. Zero where the surface is not known.
         """
         full = self.profile + weight * (self.passage - self.profile)
         known = np.isfinite(full)
@@ -85,7 +85,7 @@ class Slopes:
         with np.errstate(invalid="ignore"):
             share = np.where(known, self.variance / (self.variance + noise**2), 0.0)
         left = np.hypot((1.0 - share) * full, DOUBT * (full + beside))
-        return share * full + beside, np.hypot(left, share * noise)
+        return share * full + beside, np.hypot(left, share * noise), share
 
 
 def slopes(lattice: Lattice, first: int, last: int) -> Slopes:
@@ -218,6 +218,24 @@ def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> B
     square = max(float(found[0]), 1e-6)
     blur = float(np.clip(found[2], 1.0 / 12.0, None))
     return Beam(float(np.sqrt(square / usual)), float(np.clip(found[1] / square, -1.0, 3.0)), middle, blur)
+
+
+def footprint(found: Slopes, asked: Lattice) -> Array:
+    """One sigma of the stripe on the surface (n, L), mm, in the direction in which its pixels cross it.
+
+    The measured width without the lens's blur, in pixels, times how far a pixel moves on the surface. NaN where the surface
+    is not known; where next to none of it is, as on a rough part alone, the plane through all points stands for it.
+    ``asked`` holds the frames of ``found`` alone.
+    """
+    normal = found.table[..., surface.NORMAL : surface.NORMAL + 3]
+    seen = np.isfinite(asked.sigma)
+    if found.moves and np.count_nonzero(np.isfinite(normal[..., 0])) < 0.05 * np.count_nonzero(seen):
+        plane = fit_plane(asked.points[seen])
+        normal = np.broadcast_to(plane.normal, normal.shape)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rise = np.einsum("fli,fli->fl", normal, asked.moved) / np.einsum("fli,fli->fl", normal, asked.view)
+        stride = np.linalg.norm(asked.moved - rise[..., None] * asked.view, axis=2)
+        return np.asarray(np.sqrt(np.maximum(asked.width**2 - found.beam.blur, 0.0)) * stride)
 
 
 @compiled

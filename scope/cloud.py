@@ -46,6 +46,8 @@ class ScanCloud:
     rig_sha256: str = ""
     verified: bool = False  # the calibration passed its verification
     complete: bool = True  # no frame is missing
+    stripe_width: tuple[float, ...] = ()  # mm, one sigma of each laser's stripe on the surface; empty: not known
+    stripe_corrected: tuple[float, ...] = ()  # share (0 to 1) of what that width does to heights that ranging took off
     camera_centre: Array = field(default_factory=lambda: np.full(3, np.nan))  # (3,) mm, in C
 
     def __len__(self) -> int:

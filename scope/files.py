@@ -86,6 +86,10 @@ def comments(cloud: ScanCloud) -> tuple[str, ...]:
         f"complete {'yes' if cloud.complete else 'no'}",
         f"camera_centre_C {centre}",
         *(f"laser {i} {name}" for i, name in enumerate(cloud.laser_names)),
+        *(
+            f"stripe {i} {width:.5g} {corrected:.4g}"
+            for i, (width, corrected) in enumerate(zip(cloud.stripe_width, cloud.stripe_corrected, strict=True))
+        ),
     )
 
 
@@ -125,6 +129,7 @@ def _described(cloud: ScanCloud, rows: ply.Records, content: ply.Ply) -> ScanClo
         centre = np.array([float(x) for x in told.get("camera_centre_C", "nan nan nan").split()])
     except ValueError:
         centre = np.full(3, np.nan)
+    stripes = _stripes(content.comments)
     stored = content.elements.get("sensor")
     sensors = None
     if stored is not None and len(stored) and set(SENSOR.names or ()) <= set(stored.dtype.names or ()):
@@ -150,8 +155,19 @@ def _described(cloud: ScanCloud, rows: ply.Records, content: ply.Ply) -> ScanClo
         rig_sha256=told.get("rig_sha256", "").replace("unknown", ""),
         verified=told.get("verified") == "yes",
         complete=told.get("complete", "yes") == "yes",
+        stripe_width=tuple(width for width, _ in stripes),
+        stripe_corrected=tuple(corrected for _, corrected in stripes),
         camera_centre=centre if centre.shape == (3,) else np.full(3, np.nan),
     )
+
+
+def _stripes(comments: tuple[str, ...]) -> list[tuple[float, float]]:
+    """Width (mm) of each laser's stripe and the share of its effect that was corrected; empty where a line is no such thing."""
+    lines = [text.split() for text in comments if text.startswith("stripe ")]
+    try:
+        return [(float(width), float(corrected)) for _, _, width, corrected in lines]
+    except ValueError:
+        return []
 
 
 def _columns(rows: ply.Records, *names: str) -> Array:

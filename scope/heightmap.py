@@ -22,6 +22,9 @@ class HeightMap:
     sigma: Array | None = None  # (rows, columns) mm, independent noise of each height, one standard deviation
     points: Array | None = None  # (rows, columns, 3) mm, where each height was measured, in the cloud frame
     origin: tuple[int, int] = (0, 0)  # frame and image line of the first row and column, for a scan
+    stripe_width: float = float("nan")  # mm, one sigma of the stripe on the surface, down the rows; NaN: not known
+    stripe_corrected: float = 0.0  # share (0 to 1) of what that width does to heights that ranging took off
+    in_order: bool = True  # the lattice is that on which the surface was sampled
     form: str = "none"  # what the F-operator removed
     filters: tuple[str, ...] = ()  # what was filtered, in order
     notes: tuple[str, ...] = ()  # what a reader must know of how the map came about

@@ -10,9 +10,14 @@ import numpy as np
 
 from calibration.errors import FileError
 from calibration.geometry import Array
-from scope.errors import MissingLibraryError
+from scope.errors import MeasurementError, MissingLibraryError
 from scope.heightmap import HeightMap
 from scope.region import Region
+
+
+class NoLatticeError(FileError):
+    """The points of a file stand on no lattice: they are a cloud and no height map."""
+
 
 ENDINGS = (".npy", ".asc", ".txt", ".xyz", ".sdf", ".x3p")
 _MM = 1000.0  # SDF and X3P are in metres
@@ -46,6 +51,8 @@ def read_heights(path: Path, *, pitch: tuple[float, float] | None = None) -> Hei
         raise FileError(f"{path}: ending {path.suffix!r} is no height map; use {', '.join(ENDINGS)} or a cloud .ply")
     try:
         z, told = reader(path)
+    except NoLatticeError as error:
+        raise NoLatticeError(f"{path}: {error}; measure it as a cloud") from error
     except (OSError, ValueError, EOFError) as error:
         raise FileError(
             f"{path}: could not be read as a height map ({error}); check the file and its ending"
@@ -62,17 +69,28 @@ def read_heights(path: Path, *, pitch: tuple[float, float] | None = None) -> Hei
 
 
 def within(heights: HeightMap, region: Region) -> HeightMap:
-    """Turn the heights outside a region into gaps; x runs along the rows and y down them, from the first height."""
+    """Turn the heights outside a region into gaps; x runs along the rows and y down them, from the first height.
+
+    ``MeasurementError`` where none is left.
+    """
     rows, columns = np.indices(heights.z.shape)
     points = np.stack([columns * heights.pitch[1], rows * heights.pitch[0], heights.z], axis=2)
     known = heights.known
     keep = np.zeros(heights.z.shape, dtype=np.bool_)
     keep[known] = region.contains(points[known])
+    if not keep.any():
+        raise MeasurementError(
+            f"the region is empty: the map spans x 0 to {heights.size[1]:.4g}, y 0 to {heights.size[0]:.4g} mm from its "
+            "first height; move the region onto it"
+        )
     return heights.with_heights(np.where(keep, heights.z, np.nan))
 
 
 def _read_npy(path: Path) -> tuple[Array, None]:
-    return np.load(path, allow_pickle=False).astype(np.float64), None
+    stored = np.load(path, allow_pickle=False)
+    if not isinstance(stored, np.ndarray) or stored.dtype.kind not in "fiu":
+        raise ValueError("it does not hold an array of real numbers")
+    return stored.astype(np.float64), None
 
 
 def _read_table(path: Path) -> tuple[Array, tuple[float, float] | None]:
@@ -84,7 +102,10 @@ def _read_table(path: Path) -> tuple[Array, tuple[float, float] | None]:
         if name.lower() == "nan":
             raise ValueError("a header line begins with nan")
         header[name.lower()] = float(value)
-    z = np.array([[float(cell) for cell in line.replace(",", " ").split()] for line in lines if line.strip()])
+    rows = [line.replace(",", " ").replace(";", " ") for line in lines if line.strip()]
+    z = np.loadtxt(rows, ndmin=2) if rows else np.zeros((0, 0))
+    if z.size == 0:
+        raise ValueError("it holds no heights")
     if not header:
         return z, None
     told = tuple(int(header[name]) for name in ("nrows", "ncols") if name in header)
@@ -100,10 +121,7 @@ def _read_table(path: Path) -> tuple[Array, tuple[float, float] | None]:
 
 def _read_xyz(path: Path) -> tuple[Array, tuple[float, float]]:
     """Read points on a lattice: every x and y is a whole number of steps from the least, to a tenth of a step."""
-    table = np.loadtxt(path, ndmin=2, comments=("#", "//"))
-    if table.shape[1] < 3:
-        raise ValueError("its lines do not hold x y z")
-    x, y, z = table[:, :3].T
+    x, y, z = read_xyz(path).T
     places = []
     steps = []
     for values in (y, x):
@@ -113,14 +131,29 @@ def _read_xyz(path: Path) -> tuple[Array, tuple[float, float]]:
         step = float(np.median(np.diff(distinct)))
         place = (values - distinct[0]) / step
         if np.abs(place - np.rint(place)).max() > 0.1:
-            raise ValueError("its points stand on no lattice; convert it to .ply and measure it as a cloud")
+            raise NoLatticeError("its points stand on no lattice")
         places.append(np.rint(place).astype(np.int64))
         steps.append(step)
     if (places[0].max() + 1) * (places[1].max() + 1) > 100 * len(z):
-        raise ValueError("its lattice is nearly empty; convert it to .ply and measure it as a cloud")
+        raise NoLatticeError("its lattice is nearly empty")
     heights = np.full((places[0].max() + 1, places[1].max() + 1), np.nan)
     heights[places[0], places[1]] = z
     return heights, (steps[0], steps[1])
+
+
+def read_xyz(path: Path) -> Array:
+    """Read points (N, 3) of lines x y z, with blanks or commas between; a first line of names is passed over.
+
+    ``ValueError`` for other lines.
+    """
+    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+    lines = [line.replace(",", " ").replace(";", " ") for line in lines if not line.lstrip().startswith(("#", "//"))]
+    if lines and lines[0].split()[0][:1].isalpha() and lines[0].split()[0].lower() != "nan":
+        lines.pop(0)
+    table = np.loadtxt(lines, ndmin=2) if lines else np.zeros((0, 3))
+    if table.shape[1] < 3 or len(table) == 0:
+        raise ValueError("its lines do not hold x y z")
+    return np.asarray(table[:, :3], dtype=np.float64)
 
 
 def _read_sdf(path: Path) -> tuple[Array, tuple[float, float]]:

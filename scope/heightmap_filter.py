@@ -12,9 +12,9 @@ from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
 
 ALPHA = math.sqrt(math.log(2.0) / math.pi)  # half the amplitude passes at the nesting index (ISO 16610-21, 4.2)
-# Nesting indices, mm (ISO 25178-3, tables 1 and 2): the series 1, 2, 2.5, 5, 8.
+# Nesting indices, mm (ISO 25178-3): the series 1, 2, 2.5, 5, 8.
 NESTING = tuple(round(factor * 10.0**power, 6) for power in range(-4, 3) for factor in (1.0, 2.0, 2.5, 5.0, 8.0))
-SAMPLES_PER_INDEX = 3.0  # an S-filter spans three samples or more (ISO 25178-3, table 3)
+SAMPLES_PER_INDEX = 3.0  # an S-filter spans three samples or more (ISO 25178-3)
 
 
 class Smoothed(NamedTuple):

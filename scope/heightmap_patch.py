@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from scope.mesh import lattice_index, lattice_lines
 from scope.region import Region
 
 LEAST_POINTS = 1000
+DEEPEST = 10.0  # mm rms: beyond, it is no roughness but a shape or a wrong unit
+_FINEST_PITCH = 1e-3  # mm: finer than a laser scanner samples
 _LARGEST_SKEW = 0.17  # |cos| between rows and columns: beyond 10 degrees the lattice is no rectangle
 
 
@@ -51,8 +54,11 @@ def patch_heights(cloud: ScanCloud, region: Region | None = None) -> HeightMap:
             f"the region holds a single profile of {len(part)} points; an areal measurement needs a scan of many "
             "frames: choose a wider region"
         )
+    _refuse_depth(part)
     frame = _Levelled.of(part)
     sigma = _height_sigma(part, frame)
+    if part.sensors is None:
+        notes = (*notes, "the cloud does not tell where its sensor was: heights count towards +z")
     if not np.isfinite(sigma).any():
         notes = (*notes, "the points carry no sigma: their noise is not predicted")
     if min(index.shape) < 2:
@@ -61,6 +67,11 @@ def patch_heights(cloud: ScanCloud, region: Region | None = None) -> HeightMap:
     if skew > _LARGEST_SKEW:
         why = f"warning: rows and columns of the scan meet at {np.degrees(np.arccos(skew)):.0f} degrees"
         return _gridded(part, frame, (*notes, why))
+    if max(steps) < _FINEST_PITCH:
+        notes = (
+            *notes,
+            f"warning: a pitch of {max(steps):.3g} mm is finer than a laser scanner's: are the data in mm?",
+        )
     found = index >= 0
     z, spread, points = (np.full((*index.shape, *tail), np.nan) for tail in ((), (), (3,)))
     z[found], spread[found], points[found] = (
@@ -74,6 +85,8 @@ def patch_heights(cloud: ScanCloud, region: Region | None = None) -> HeightMap:
         sigma=spread,
         points=points,
         origin=(int(part.frame.min()), int(lattice_lines(part).min())),
+        stripe_width=_of_laser(part.stripe_width, part, math.nan),
+        stripe_corrected=_of_laser(part.stripe_corrected, part, 0.0),
         form="plane",
         notes=notes,
     )
@@ -133,6 +146,36 @@ def _selected(cloud: ScanCloud, region: Region | None) -> tuple[ScanCloud, tuple
             "scan with smaller steps"
         )
     return cloud.select(inside), notes
+
+
+def _of_laser(values: tuple[float, ...], part: ScanCloud, unknown: float) -> float:
+    """What a cloud tells of the laser of a part."""
+    laser = int(part.laser[0])
+    return values[laser] if laser < len(values) else unknown
+
+
+def _refuse_depth(part: ScanCloud) -> None:
+    """``MeasurementError`` where depth scatters, from frame to frame and line to line, by what no roughness does.
+
+    Seen on the scan's own lattice, since a plane through points that are deeper than wide turns on end and hides it.
+    """
+    lines = lattice_lines(part)
+    if part.sensors is None or (lines < 0).any():
+        return
+    sight = part.points.mean(axis=0) - np.nanmean(part.sensors.centre, axis=0)
+    length = float(np.linalg.norm(sight))
+    if not length > 0.0:
+        return
+    depth = (part.points - part.points.mean(axis=0)) @ (sight / length)
+    u, v = (values - values.mean() for values in (part.frame.astype(np.float64), lines.astype(np.float64)))
+    u, v = (values / max(float(np.abs(values).max()), 1.0) for values in (u, v))
+    design = np.stack([np.ones(len(u)), u, v, u * u, u * v, v * v], axis=1)
+    spread = float(np.std(depth - design @ np.linalg.lstsq(design, depth, rcond=None)[0]))
+    if spread > DEEPEST:
+        raise MeasurementError(
+            f"the points scatter by {spread:.3g} mm rms along the sight, which is no roughness (limit {DEEPEST:g} mm): "
+            "check that the data are in mm and that the region is one surface"
+        )
 
 
 def _thinned(index: Ints) -> Ints:
@@ -202,6 +245,7 @@ def _gridded(part: ScanCloud, frame: _Levelled, notes: tuple[str, ...]) -> Heigh
         z=z.reshape(x.shape),
         pitch=(pitch, pitch),
         points=_on_plane(part, frame, x, y, z),
+        in_order=False,
         form="plane",
         notes=(*notes[:-1], told),
     )

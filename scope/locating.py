@@ -33,7 +33,7 @@ class Placed:
 
 
 def read_transform(path: Path) -> Pose:
-    """Pose of a JSON file: a 4x4 row-major list (mm), or an object with it under ``matrix``.
+    """Pose of a JSON file: a 4x4 row-major list (mm), or an object with it under ``matrix`` or ``cloud_from_model``.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def read_transform(path: Path) -> Pose:
         raise FileError(f"{path}: cannot be read ({error.strerror}); give a JSON file with a 4x4 matrix") from error
     except ValueError as error:
         raise FileError(f"{path}: is no JSON ({error}); give a 4x4 matrix, row by row, mm") from error
-    rows = held.get("matrix") if isinstance(held, dict) else held
+    rows = held.get("matrix", held.get("cloud_from_model")) if isinstance(held, dict) else held
     try:
         return Pose.from_matrix(np.array(rows, dtype=np.float64))
     except (ValueError, TypeError) as error:

@@ -52,6 +52,8 @@ class Polygon:
     def __post_init__(self) -> None:
         if self.corners.ndim != 2 or self.corners.shape[1] != 2 or len(self.corners) < 3:
             raise ValueError("a polygon needs three corners (x, y) or more")
+        if not np.isfinite(self.corners).all():
+            raise ValueError("a corner is not finite")
 
     def contains(self, points: Array) -> Bools:
         """Mask (N,) of points (N, 3) mm: crossings of a line towards +x are counted."""

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from calibration.errors import FileError
+from calibration.geometry import Pose
 from scope.region import Box, Interval, Polygon, Region
 
 GRAMMAR = "[NAME=]box:x0,x1,y0,y1[,z0,z1] | polygon:file.csv | mesh:file.stl"
 
 
-def parse_region(text: str) -> tuple[str, Region]:
+def parse_region(text: str, *, cloud_from_model: Pose | None = None) -> tuple[str, Region]:
     """Read ``[NAME=]kind:rest`` into a name and a region in the cloud frame, mm.
 
     A box is ``box:x0,x1,y0,y1`` or ``box:x0,x1,y0,y1,z0,z1``; ``polygon:file`` is a CSV of corners x,y; ``mesh:file`` what
-    lies within 2 mm of a mesh that stands in the cloud frame. Without a name the region is called by its own text.
+    stands over a mesh, within 2 mm of it, which stands in the cloud frame, or in that of ``cloud_from_model``. Without a name the region is called by its own text.
 
     Raises
     ------
@@ -37,7 +39,14 @@ def parse_region(text: str) -> tuple[str, Region]:
         return label, _polygon(Path(rest))
     from scope.heightmap_model import NearMesh, read_mesh
 
-    return label, NearMesh(read_mesh(Path(rest)))
+    return label, NearMesh(read_mesh(Path(rest), cloud_from_model=cloud_from_model))
+
+
+def require_names(names: Sequence[str]) -> None:
+    """``ValueError`` where two regions have one name: their results could not be told apart."""
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{names.count(name)} regions are called {name!r}; give each a NAME of its own")
 
 
 def _box(rest: str, text: str) -> Box:

@@ -15,20 +15,18 @@ from scope.heightmap_edges import refuse_edges
 from scope.heightmap_filter import l_filter, least_s_index, s_filter
 from scope.heightmap_form import remove_form
 from scope.heightmap_model import Mesh, remove_model
-from scope.heightmap_patch import LEAST_POINTS, patch_heights
+from scope.heightmap_patch import DEEPEST, LEAST_POINTS, patch_heights
 from scope.region import Region
-from scope.roughness_areal import gradient_products
-from scope.roughness_directions import LARGEST_NOISE_SHARE, Told, direction_parameters
-from scope.roughness_estimate import LINEAR, Estimate, Evidence, chance, estimate
+from scope.roughness_chance import chance
+from scope.roughness_directions import Told, direction_parameters
+from scope.roughness_estimate import Estimate, Evidence, estimate
+from scope.roughness_gates import areal_table, trust_in_sigma
 from scope.roughness_noise import SIGMA_TRUST, Noise, predicted_noise, repeat_noise
-from scope.roughness_table import AREAL, Parameter
-from scope.roughness_texture import ISOTROPIC, Autocorrelation
+from scope.roughness_table import Parameter
+from scope.roughness_texture import Autocorrelation
 
-LARGEST_PLAUSIBLE = 10.0  # mm rms about the form: beyond, it is no roughness but a shape or a wrong unit
 _LARGEST_OF_PATCH = 0.2  # of the patch's shorter side: beyond, likewise
-_SLOPE_UNCERTAINTY = 0.10  # k = 2: slopes that noise leaves less certain than this are withheld
-_SLOPE_NOISE = 12.0  # raw over clean: beyond, noise is 99.3 % of the squared slopes
-_SLOPE_SAMPLING = 0.80  # of Sdq left at twice the pitch: below, the pitch decides it
+_WIDE_STRIPE = 0.02  # of Sq that its width averages away
 _SMALL_PATCH = 40.0  # correlation lengths on a side, for 10 %
 
 
@@ -40,10 +38,22 @@ class RoughnessOptions:
     s_filter: float | None = None  # mm, areal S-filter; None: the pitch and the stripe are the only S-filter
     l_filter: float | None = None  # mm, areal L-filter and cut-off of the profiles; None: S-F surface, ISO 21920-3
     model: Mesh | None = None  # the CAD surface, in the cloud frame, in place of a form
-    stripe_width: float = math.nan  # mm, one sigma of the stripe's profile on the surface; NaN: not known
+    stripe_width: float = math.nan  # mm, one sigma of the stripe on the surface; NaN: what the cloud tells
     sigma_trust: float = SIGMA_TRUST  # relative standard uncertainty of the points' sigma
     uncertainty: bool = True  # False saves the time of it
     edges: bool = False  # True: a patch that straddles an edge is measured all the same
+
+    def __post_init__(self) -> None:
+        for name, index in (("S", self.s_filter), ("L", self.l_filter)):
+            if index is not None and not 0.0 < index < math.inf:
+                raise ValueError(
+                    f"the {name}-filter of {index:g} mm has no length; give a nesting index in mm, or none"
+                )
+        if self.s_filter is not None and self.l_filter is not None and self.s_filter >= self.l_filter:
+            raise ValueError(
+                f"the S-filter of {self.s_filter:g} mm takes away what the L-filter of {self.l_filter:g} mm would leave; "
+                "the L-filter must be the longer"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,22 +143,27 @@ def measure_heights(
     options = options or RoughnessOptions()
     rng = rng or np.random.default_rng(0)
     formed = _formed(heights, options)
+    width = formed.stripe_width if math.isnan(options.stripe_width) else options.stripe_width
     if repeat is None:
         known = predicted_noise(formed, trust=options.sigma_trust)
     else:
         same = replace(options, form=formed.form.split(" ")[0])
-        known = repeat_noise(formed, _formed(repeat, same), stripe_width=options.stripe_width)
+        known = repeat_noise(formed, _formed(repeat, same), stripe_width=width)
     primary, primary_noise = _filtered(formed, known, options.s_filter, None, rng)
     final, final_noise = _filtered(primary, primary_noise, None, options.l_filter, rng)
-    width = 0.0 if math.isnan(options.stripe_width) else options.stripe_width
     evidence = Evidence.gather(final, final_noise, rng, stripe_width=width)
     found = estimate(evidence)
     spread = chance(evidence, found, rng) if options.uncertainty else {}
-    trust = _trust(evidence, found, final_noise)
-    areal = _areal(evidence, found, final_noise, spread, trust, final.gap_share)
+    trust = trust_in_sigma(evidence, found, final_noise)
+    areal = areal_table(evidence, found, final_noise, spread, trust, final.gap_share)
     slope_reason = areal["Sdq"].reason
     profile, told = direction_parameters(
-        primary, primary_noise, cutoff=options.l_filter, slope_reason=slope_reason, with_uncertainty=options.uncertainty
+        primary,
+        primary_noise,
+        cutoff=options.l_filter,
+        rng=rng,
+        slope_reason=slope_reason,
+        with_uncertainty=options.uncertainty,
     )
     sq = areal["Sq"]
     return Roughness(
@@ -158,8 +173,8 @@ def measure_heights(
         noise_source=final_noise.source,
         valid=sq.value is not None and (sq.uncertainty or 2.0 * trust["Sq"]) < 0.5 * sq.value,
         pitch=final.pitch,
-        bandwidth=_bandwidth(final, options, told),
-        notes=(*final.notes, *final_noise.notes, *_warnings(final, found), *told.notes),
+        bandwidth=_bandwidth(final, options, width, told),
+        notes=(*final.notes, *final_noise.notes, *_warnings(final, found, evidence), *told.notes),
         heights=final,
         acf=found.texture.acf,
         name=name,
@@ -181,7 +196,7 @@ def _formed(heights: HeightMap, options: RoughnessOptions) -> HeightMap:
     cropped = heights.cropped()
     formed = remove_form(cropped, options.form) if options.model is None else remove_model(cropped, options.model)
     spread = float(np.nanstd(formed.z))
-    limit = min(LARGEST_PLAUSIBLE, _LARGEST_OF_PATCH * min(formed.size))
+    limit = min(DEEPEST, _LARGEST_OF_PATCH * min(formed.size))
     if spread > limit:
         raise MeasurementError(
             f"the heights spread by {spread:.3g} mm rms about the {formed.form}, which is no roughness of a patch of "
@@ -210,144 +225,14 @@ def _filtered(
     second = None if noise.second is None else passed(heights.with_heights(noise.second)).z
     if math.isnan(noise.floor):
         return result, replace(noise, second=second)
-    draw = np.where(heights.known, noise.floor * rng.standard_normal(heights.z.shape), np.nan)
-    return result, replace(noise, second=second, floor=float(np.nanstd(passed(heights.with_heights(draw)).z)))
+    draw = noise.sample
+    if draw is None:
+        draw = np.where(heights.known, noise.floor * rng.standard_normal(heights.z.shape), np.nan)
+    sample = passed(heights.with_heights(draw)).z
+    return result, replace(noise, second=second, sample=sample, floor=float(np.nanstd(sample)))
 
 
-def _trust(evidence: Evidence, found: Estimate, noise: Noise) -> dict[str, float]:
-    """How far each parameter moves when a predicted sigma is wrong by its standard uncertainty."""
-    if noise.source != "sigma" or noise.trust == 0.0:
-        return dict.fromkeys(found.clean, 0.0)
-    factor = (1.0 + noise.trust) ** 2
-    more = replace(evidence, noise_variance=factor * evidence.noise_variance, slope_noise=factor * evidence.slope_noise)
-    moved = estimate(more, with_raw=False).clean
-    return {
-        key: abs(moved[key] - value) if math.isfinite(moved[key]) else math.inf for key, value in found.clean.items()
-    }
-
-
-def _areal(
-    evidence: Evidence,
-    found: Estimate,
-    noise: Noise,
-    spread: dict[str, float],
-    trust: dict[str, float],
-    gap_share: float,
-) -> dict[str, Parameter]:
-    table = {}
-    for key, definition in AREAL.items():
-        value, raw = found.clean[key], found.raw[key]
-        reason = _withheld(key, found, noise)
-        note = ""
-        extra = 0.0 if reason else _model_error(key, evidence, found, noise)
-        if key in {"Sp", "Sv", "Sz"} and gap_share > 0.01:
-            note = "one-sided: the gaps may hide a greater value"
-        elif key in {"Sdq", "Sdr"} and evidence.slope_index != (0.0, 0.0):
-            note = f"behind a Gaussian S-filter of {evidence.slope_index[0]:.3g} x {evidence.slope_index[1]:.3g} mm"
-        expanded = None
-        if spread and not reason and math.isfinite(spread[key]):
-            expanded = 2.0 * math.sqrt(spread[key] ** 2 + trust[key] ** 2 + extra**2)
-        if key in {"Sdq", "Sdr"} and not reason:
-            reason = _slope_gate(evidence, found, expanded if key == "Sdq" else None)
-        table[key] = Parameter(
-            value=None if reason else value,
-            uncertainty=None if reason or expanded is None or not math.isfinite(expanded) else expanded,
-            unit=definition.unit,
-            reason=reason,
-            raw=raw if math.isfinite(raw) else None,
-            note=note,
-            clause=definition.clause,
-        )
-    if table["Sdq"].value is None and table["Sdr"].value is not None:
-        table["Sdr"] = replace(table["Sdr"], value=None, uncertainty=None, reason=table["Sdq"].reason)
-    return table
-
-
-def _model_error(key: str, evidence: Evidence, found: Estimate, noise: Noise) -> float:
-    """Standard uncertainty of what the corrections take for granted.
-
-    Scaling takes surface and noise for Gaussian: its error grows with the surface's excess over a Gaussian. Extremes of
-    noise outnumber those of the surface, so that theirs is half of what scaling took; the material ratios of the core
-    are not corrected, but pulled to a Gaussian's. Smoothed slopes lose what twice the smoothing would lose again, and
-    the stripe's width is believed to a quarter.
-    """
-    clean, raw = found.clean, found.raw
-    if key in {"Sdq", "Sdr"}:
-        return (0.6 if key == "Sdq" else 1.2) * evidence.slope_loss() * clean[key]
-    width = 0.0
-    if key == "Sq" or key in LINEAR:
-        slopes = gradient_products(*evidence.slope_maps, evidence.pitch) - evidence.slope_noise
-        width = 0.25 * evidence.stripe_width**2 * max(float(slopes[0]), 0.0) / clean["Sq"] ** 2 * clean[key]
-    if noise.source == "unknown":
-        return width
-    if key in {"Sp", "Sv", "Sz"}:
-        return math.hypot(width, 0.5 * abs(raw[key] - clean[key]))
-    if key in {"Smr1", "Smr2"}:
-        return abs(1.0 - (clean["Sq"] / raw["Sq"]) ** 2)
-    if key in LINEAR:
-        excess = min(1.0, abs(clean["Ssk"]) / 2.0 + abs(clean["Sku"] - 3.0) / 3.0)
-        return math.hypot(width, (0.02 + 0.5 * excess) * abs(raw[key] - clean[key]))
-    return width
-
-
-def _withheld(key: str, found: Estimate, noise: Noise) -> str:
-    """Why a parameter does not exist here; empty where it does."""
-    if math.isnan(found.clean["Sq"]):
-        return f"the noise of {noise.floor:.3g} mm is all of the measured Sq of {found.raw['Sq']:.3g} mm"
-    share = 1.0 - (found.clean["Sq"] / found.raw["Sq"]) ** 2
-    if key in {"Ssk", "Sku"} and share > LARGEST_NOISE_SHARE:
-        return f"noise is {100.0 * share:.0f} % of the variance (limit {100.0 * LARGEST_NOISE_SHARE:g} %)"
-    if math.isfinite(found.clean[key]):
-        return ""
-    if key == "Str":
-        return f"the correlation falls to 0.2 within the patch in some directions only; Str is at most {found.texture.bound:.3g}"
-    if key == "Std":
-        if math.isfinite(found.texture.Str) and found.texture.Str >= ISOTROPIC:
-            return f"the surface is isotropic (Str {found.texture.Str:.2f}): it has no direction"
-        return "the correlation leaves the direction open"
-    if key == "Sal":
-        return "the correlation never falls to 0.2 within the patch: choose a larger region"
-    if key in {"Sdq", "Sdr"}:
-        return "noise: what it predicts of the slopes is as much as was measured"
-    return "nothing follows from these heights"
-
-
-def _slope_gate(evidence: Evidence, found: Estimate, expanded: float | None) -> str:
-    """Why slopes are withheld: decided by noise or by the pitch; empty where they stand."""
-    clean, raw = found.clean["Sdq"], found.raw["Sdq"]
-    if evidence.slope_index != (0.0, 0.0):
-        if raw > _SLOPE_NOISE * clean:
-            return f"noise: the measured Sdq of {raw:.3g} is {raw / clean:.0f} times what noise leaves of it (limit {_SLOPE_NOISE:g})"
-        if expanded is not None and math.isinf(expanded):
-            return "noise: a sigma wrong by its uncertainty accounts for all of the slopes; give a repeat scan"
-        if expanded is not None and expanded > _SLOPE_UNCERTAINTY * clean:
-            return (
-                f"noise: Sdq {clean:.3g} would be uncertain by {100.0 * expanded / clean:.0f} % "
-                f"(limit {100.0 * _SLOPE_UNCERTAINTY:g} %, k = 2)"
-            )
-    left = _coarser_slope(evidence)
-    if left < _SLOPE_SAMPLING:
-        return f"sampling: at twice the pitch Sdq falls to {100.0 * left:.0f} %, so the pitch decides it"
-    return ""
-
-
-def _coarser_slope(evidence: Evidence) -> float:
-    """Sdq at twice the pitch over Sdq."""
-    first, second = evidence.slope_maps
-    totals = []
-    for every in (1, 2):
-        square = 0.0
-        for axis in (0, 1):
-            a, b = (np.moveaxis(values, axis, 0) for values in (first, second))
-            product = (a[every:] - a[:-every]) * (b[every:] - b[:-every])
-            known = np.isfinite(product)
-            mean = float(product[known].mean()) / (every * evidence.pitch[axis]) ** 2 if known.any() else math.nan
-            square += mean - float(evidence.slope_noise[axis]) / every**2 if every == 1 else mean
-        totals.append(square)
-    return math.sqrt(totals[1] / totals[0]) if totals[0] > 0.0 and totals[1] > 0.0 else 1.0
-
-
-def _warnings(heights: HeightMap, found: Estimate) -> tuple[str, ...]:
+def _warnings(heights: HeightMap, found: Estimate, evidence: Evidence) -> tuple[str, ...]:
     notes = []
     length = found.clean["Sal"]
     side = math.sqrt((heights.size[0]) * heights.size[1])
@@ -362,13 +247,18 @@ def _warnings(heights: HeightMap, found: Estimate) -> tuple[str, ...]:
                 f"warning: the correlation length of {length:.3g} mm is under three pitches ({max(heights.pitch):.3g} mm): "
                 "the sampling is too coarse for the finest texture"
             )
+    loss = evidence.stripe_loss(found.clean["Sq"])
+    if loss > _WIDE_STRIPE:
+        notes.append(
+            f"warning: the stripe (one sigma {evidence.stripe_width:.3g} mm) is wide against the texture: it averages away "
+            f"up to {100.0 * loss:.1f} % of Sq, of which ranging put back {100.0 * (1.0 - evidence.stripe_left):.0f} %"
+        )
     if heights.gap_share > 0.5:
         notes.append(f"warning: {100.0 * heights.gap_share:.0f} % of the patch was not seen")
     return tuple(notes)
 
 
-def _bandwidth(heights: HeightMap, options: RoughnessOptions, told: Told) -> dict[str, float | None]:
-    width = options.stripe_width
+def _bandwidth(heights: HeightMap, options: RoughnessOptions, width: float, told: Told) -> dict[str, float | None]:
     return {
         "pitch_across": heights.pitch[0],
         "pitch_along": heights.pitch[1],

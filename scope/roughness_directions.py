@@ -10,16 +10,19 @@ import numpy as np
 from calibration.geometry import Array
 from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
-from scope.heightmap_filter import ALPHA, SAMPLES_PER_INDEX, gaussian
-from scope.roughness_extras import JointRoughness, joint_roughness, mean_profile_depth
-from scope.roughness_noise import Noise
+from scope.roughness_noise import Noise, added_noise
 from scope.roughness_profile import SECTIONS, Profiles, profile_parameters, roughness_profiles
+from scope.roughness_profile_noise import SCALED, Direction, Found
 from scope.roughness_table import PROFILE, Parameter
 
-_SCALED = frozenset({"Ra", "Rz", "Rt", "Rc"})
-LARGEST_NOISE_SHARE = 0.8  # of the variance: beyond, shapes and scaled heights are not given
-_QUIET = 0.2  # share of the variance: more noise than this makes elements of its own
 _ANGLES = {"along": 1, "across": 0}
+_BLOCKS = 24  # of neighbouring profiles, that the jackknife leaves out one at a time
+_FEWEST_BLOCKS = 4
+_FEW_GAPS = 0.01  # fewer need no looking into
+_GAP_DRAWS = 3
+_OVERLAP = 1.8  # gaps that are cut again fall in part on those that are there
+_ELEMENT_DOUBT = 2.0  # times the change that more smoothing makes
+_SHAPES = frozenset({"Rsk"})  # about zero: a relative change means nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +39,13 @@ def direction_parameters(
     noise: Noise,
     *,
     cutoff: float | None,
+    rng: np.random.Generator,
     slope_reason: str = "",
     with_uncertainty: bool = True,
 ) -> tuple[dict[str, dict[str, Parameter]], Told]:
     """Profile parameters ``along`` the stripe and ``across`` it, each the mean over all profiles of the map.
 
-    ``slope_reason`` withholds Rdq for the reason that Sdq was. The uncertainty is that of the mean, with as many
-    independent profiles as there are correlation lengths across them.
+    ``slope_reason`` withholds Rdq for the reason that Sdq was.
 
     Raises
     ------
@@ -53,25 +56,26 @@ def direction_parameters(
     settings: dict[str, str] = {}
     cutoffs: dict[str, float] = {}
     notes: list[str] = []
+    floor = 0.0 if math.isnan(noise.floor) else noise.floor
+    added = added_noise(noise, heights.known, rng) if floor > 0.0 else np.zeros(heights.z.shape)
     for way, axis in _ANGLES.items():
         z = heights.z if axis == 1 else heights.z.T
-        second = None if noise.second is None else (noise.second if axis == 1 else noise.second.T)
-        pitch = heights.pitch[axis]
+        second = noise.second if noise.second is None or axis == 1 else noise.second.T
         try:
-            profiles = roughness_profiles(z, pitch, cutoff)
+            profiles = roughness_profiles(z, heights.pitch[axis], cutoff, noise=floor if noise.sample is None else 0.0)
         except ValueError as error:
             raise MeasurementError(
                 f"{way} the stripe, {error}; choose a larger region or another --l-filter"
             ) from error
-        joint = joint_roughness(z, pitch, noise_variance=0.0 if math.isnan(noise.floor) else noise.floor**2)
-        tables[way] = _table(profiles, _second(second, profiles, z), noise, slope_reason, with_uncertainty)
-        tables[way] |= _extras(joint, mean_profile_depth(z, pitch))
+        direction = Direction.gather(z, second, profiles, noise, added if axis == 1 else added.T)
+        gaps = _gap_spread(z, profiles, direction, rng) if with_uncertainty else {}
+        tables[way] = _table(direction, profiles, noise, slope_reason, with_uncertainty, gaps)
         cutoffs[way] = profiles.cutoff
         settings[f"profile {way}"] = (
             f"cut-off {profiles.cutoff:g} mm, {profiles.sections} sections, "
             f"end effects on {100.0 * profiles.end_effect:.1f} % of the heights"
         )
-        settings[f"JRC {way}"] = joint.formula
+        settings[f"JRC {way}"] = direction.joint.formula
         if profiles.sections < SECTIONS:
             notes.append(
                 f"warning: the profiles {way} the stripe hold {profiles.sections} sections of {profiles.cutoff:g} mm; "
@@ -80,123 +84,121 @@ def direction_parameters(
     return tables, Told(settings, cutoffs, tuple(notes))
 
 
-def _second(second: Array | None, profiles: Profiles, z: Array) -> Array | None:
-    """The repeat's roughness profiles, filtered and cut as the first scan's."""
-    return (
-        None
-        if second is None
-        else roughness_profiles(np.where(np.isfinite(z), second, np.nan), profiles.pitch, profiles.cutoff).z
-    )
-
-
 def _table(
-    profiles: Profiles, second: Array | None, noise: Noise, slope_reason: str, with_uncertainty: bool
+    direction: Direction,
+    profiles: Profiles,
+    noise: Noise,
+    slope_reason: str,
+    with_uncertainty: bool,
+    gaps: dict[str, float],
 ) -> dict[str, Parameter]:
-    values = profile_parameters(profiles)
-    surface = _surface_share(profiles, second, noise)
-    independent = _independent(profiles.z)
+    everything = np.ones(len(profiles.z), dtype=np.bool_)
+    found = direction.parameters(everything)
+    spread = _spread(direction, profiles) if with_uncertainty else {}
+    for key, moved_by in gaps.items():
+        spread[key] = math.hypot(spread[key], moved_by * abs(found[key].value))
+    trusting = noise.source == "sigma" and noise.trust > 0.0
+    moved = direction.parameters(everything, more=(1.0 + noise.trust) ** 2) if trusting else found
     table = {}
-    for key, each in values.items():
-        known = each[np.isfinite(each)]
-        raw = float(known.mean()) if len(known) else math.nan
-        value, reason = _clean(key, raw, surface.share)
-        if key == "Rdq":
-            value, reason = _slope(raw, profiles, second, noise, slope_reason)
-        if not reason and not math.isfinite(value):
-            reason = "no whole profile element" if key in {"RSm", "Rc"} else "no profile is half complete"
+    for key in PROFILE:
+        one = found[key]
+        reason = slope_reason if key == "Rdq" and slope_reason else one.reason
         expanded = None
-        if with_uncertainty and not reason and len(known) > 1:
-            spread = float(known.std(ddof=1)) / math.sqrt(min(independent, len(known)))
-            model = 0.1 * abs(raw - value) if key in _SCALED else 0.0
-            scaled = 0.5 * surface.error * abs(value) if key in _SCALED or key == "Rq" else 0.0
-            expanded = 2.0 * math.sqrt(spread**2 * min(1.0, (value / raw) ** 2 if raw else 1.0) + scaled**2 + model**2)
+        if not reason and key in spread and math.isfinite(spread[key]):
+            trust = abs(moved[key].value - one.value)
+            model = _model_error(key, one, direction)
+            if math.isnan(trust):
+                reason = "noise: a sigma wrong by its own uncertainty leaves nothing of it; give a repeat scan"
+            elif math.isfinite(model):
+                expanded = 2.0 * math.sqrt(spread[key] ** 2 + trust**2 + model**2)
         table[key] = Parameter(
-            value=None if reason else value,
+            value=None if reason else one.value,
             uncertainty=expanded,
             unit=PROFILE[key].unit,
             reason=reason,
-            raw=raw if math.isfinite(raw) else None,
+            raw=one.raw if math.isfinite(one.raw) else None,
+            note=_note(key, direction),
             clause=PROFILE[key].clause,
         )
     return table
 
 
-@dataclass(frozen=True, slots=True)
-class _Surface:
-    """How much of the profiles' variance is surface."""
-
-    share: float  # 0 to 1; 1 where the noise is not known
-    error: float  # relative standard uncertainty of the variance that is left
-
-
-def _surface_share(profiles: Profiles, second: Array | None, noise: Noise) -> _Surface:
-    """From the products of two scans, or from the predicted noise that the L-filter lets through."""
-    z = profiles.z
-    measured = float(np.nanvar(z))
-    if second is None and noise.source != "sigma":
-        return _Surface(1.0, 0.0)
-    if second is None:
-        weight = profiles.pitch / (ALPHA * profiles.cutoff)  # of the Gaussian's middle sample
-        floor = noise.floor**2 * (1.0 - 2.0 * weight + weight / math.sqrt(2.0))
-        left = measured - floor
-        return _Surface(left / measured, 2.0 * noise.trust * floor / left if left > 0.0 else math.inf)
-    product = z * second
-    both = np.isfinite(product)
-    each = np.where(both, product, 0.0).sum(axis=1) / np.maximum(both.sum(axis=1), 1)
-    each = each[both.any(axis=1)]
-    left = float(product[both].mean())
-    error = float(each.std(ddof=1)) / math.sqrt(min(_independent(z), len(each))) / left if left > 0.0 else math.inf
-    return _Surface(left / float(np.var(z[both])), error)
+def _note(key: str, direction: Direction) -> str:
+    if key == "MPD":
+        return "base length 100 mm"
+    if key == "Z2":
+        return f"step {direction.joint.step:.3g} mm"
+    return direction.joint.formula if key == "JRC" else ""
 
 
-def _clean(key: str, raw: float, share: float) -> tuple[float, str]:
-    """Return a parameter without the noise's part, or why there is none."""
-    if share <= 0.0:
-        return math.nan, "noise is all of the measured variance"
-    told = f"noise is {100.0 * (1.0 - share):.0f} % of the variance"
-    shrink = math.sqrt(min(share, 1.0))
-    if key == "Rq":
-        return shrink * raw, ""
-    if key == "RSm":
-        return raw, f"{told} and makes elements of its own" if 1.0 - share > _QUIET else ""
-    if key == "Rc" and 1.0 - share > _QUIET:
-        return raw, f"{told} and makes elements of its own"
-    if 1.0 - share > LARGEST_NOISE_SHARE:
-        return math.nan, f"{told} (limit {100.0 * LARGEST_NOISE_SHARE:g} %)"
-    if key in _SCALED:
-        return shrink * raw, ""
-    if key == "Rsk":
-        return raw / shrink**3, ""
-    if key == "Rku":
-        return 3.0 + (raw - 3.0) / shrink**4, ""
-    return raw, ""
+def _model_error(key: str, one: Found, direction: Direction) -> float:
+    """Standard uncertainty of what taking the noise out takes for granted.
+
+    Scaling by the ratio of Rq is exact for Gaussian heights; what noise adds to extremes was found on smoothed ones. What
+    smoothing took from Rdq was put back, as twice the smoothing would take it again; elements of smoothed profiles may
+    not change when they are smoothed further.
+    """
+    if key == "Rdq":
+        return direction.regain.doubt * one.value if direction.smoothed_slopes() else 0.0
+    if key in direction.doubt:
+        return _ELEMENT_DOUBT * direction.doubt[key] * one.value
+    if key not in SCALED:
+        return 0.0
+    return (0.1 if key == "Ra" else 0.25) * abs(one.raw - one.value)
 
 
-def _slope(raw: float, profiles: Profiles, second: Array | None, noise: Noise, reason: str) -> tuple[float, str]:
-    """Rdq: as measured where noise is next to nothing of it, else behind an S-filter of three pitches and without noise."""
-    if reason:
-        return math.nan, reason
-    z, pitch = profiles.z, profiles.pitch
-    share = 0.0 if math.isnan(noise.floor) else 2.0 * noise.floor**2 / pitch**2 / max(raw**2, 1e-300)
-    if share < 0.05:
-        return raw * math.sqrt(1.0 - share), ""
-    if second is None:
-        return (
-            math.nan,
-            f"noise is {100.0 * min(share, 1.0):.0f} % of the squared slopes of single profiles; give a repeat scan",
-        )
-    index = SAMPLES_PER_INDEX
-    a, b = (np.diff(gaussian(values, (1.0, 1.0), (index, index)).z, axis=1) / pitch for values in (z, second))
-    product = a * b
-    square = float(product[np.isfinite(product)].mean())
-    return (math.sqrt(square), "") if square > 0.0 else (math.nan, "noise is all of the measured slopes")
+def _spread(direction: Direction, profiles: Profiles) -> dict[str, float]:
+    """Standard uncertainty of every parameter from patch to patch: the delete-a-block jackknife over runs of profiles.
+
+    Blocks are as wide as the correlation across the profiles reaches, four at least; where they are narrower than that
+    their spread is enlarged by what they have in common.
+    """
+    count = len(profiles.z)
+    independent = _independent(profiles.z)
+    blocks = int(np.clip(independent, _FEWEST_BLOCKS, min(_BLOCKS, count)))
+    label = np.arange(count) * blocks // count
+    parts = [direction.parameters(label != block) for block in range(blocks)]
+    spread = {}
+    for key in PROFILE:
+        values = np.array([part[key].value for part in parts])
+        values = values[np.isfinite(values)]
+        if len(values) < max(_FEWEST_BLOCKS, blocks // 2):
+            spread[key] = math.nan
+            continue
+        variance = (len(values) - 1) * float(np.mean((values - values.mean()) ** 2))
+        spread[key] = math.sqrt(variance * max(1.0, blocks / independent))
+    return spread
+
+
+def _gap_spread(z: Array, profiles: Profiles, direction: Direction, rng: np.random.Generator) -> dict[str, float]:
+    """Relative change that the gaps of primary profiles (N, samples) mm make when they are cut again at a random shift.
+
+    Beside a gap the mean line follows the profile, as it does at its ends, and long elements do not fit between gaps.
+    """
+    known = np.isfinite(z)
+    if known.mean() > 1.0 - _FEW_GAPS:
+        return {}
+    before = {key: float(np.nanmean(each)) for key, each in direction.values.items() if np.isfinite(each).any()}
+    squares = dict.fromkeys(before, 0.0)
+    for _ in range(_GAP_DRAWS):
+        keep = np.roll(known, (int(rng.integers(len(z))), int(rng.integers(z.shape[1]))), axis=(0, 1))
+        again = profile_parameters(roughness_profiles(np.where(keep, z, np.nan), profiles.pitch, profiles.cutoff))
+        for key in squares:
+            each = again[key][np.isfinite(again[key])]
+            change = float(each.mean()) / before[key] - 1.0 if len(each) and before[key] != 0.0 else 0.0
+            squares[key] += change**2 / _GAP_DRAWS
+    return {key: _OVERLAP * math.sqrt(square) for key, square in squares.items() if key not in _SHAPES}
 
 
 def _independent(z: Array) -> float:
     """How many unrelated profiles there are: their number over the correlation's reach across them, at least 2."""
-    centred = np.nan_to_num(z - np.nanmean(z))
     known = np.isfinite(z).astype(np.float64)
+    if not known.any():
+        return 2.0
+    centred = np.nan_to_num(z - np.nanmean(z))
     variance = float((centred**2).sum() / known.sum())
+    if variance == 0.0:
+        return 2.0
     reach = 1.0
     for lag in range(1, len(z) // 2):
         pairs = float((known[lag:] * known[:-lag]).sum())
@@ -205,24 +207,3 @@ def _independent(z: Array) -> float:
             break
         reach += 2.0 * correlation**2
     return max(2.0, len(z) / reach)
-
-
-def _extras(joint: JointRoughness, depth: float) -> dict[str, Parameter]:
-    """Z2, JRC and MPD as they stand in the table of a direction."""
-    no_depth = "not applicable: no profile is 100 mm long and nine tenths complete"
-    made = {
-        "Z2": (joint.Z2, joint.reason, joint.formula.split(", ", 1)[1]),
-        "JRC": (joint.JRC, joint.reason, joint.formula),
-        "MPD": (depth, no_depth, "base length 100 mm"),
-    }
-    return {
-        key: Parameter(
-            value=value if math.isfinite(value) else None,
-            uncertainty=None,
-            unit=PROFILE[key].unit,
-            reason="" if math.isfinite(value) else reason,
-            note=note,
-            clause=PROFILE[key].clause,
-        )
-        for key, (value, reason, note) in made.items()
-    }

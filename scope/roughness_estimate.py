@@ -1,9 +1,11 @@
-"""All areal parameters of a map with what is known of its noise taken out, and how far chance moves them."""
+"""All areal parameters of a map, with what is known of its noise taken out."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,13 +14,16 @@ from scope.heightmap import HeightMap
 from scope.heightmap_filter import SAMPLES_PER_INDEX, gaussian
 from scope.roughness_abbott import AbbottCurve, core_parameters, percentile_parameters, volume_parameters
 from scope.roughness_areal import developed_area_ratio, gradient_products, height_parameters
-from scope.roughness_noise import Noise
+from scope.roughness_noise import Noise, added_noise, calmed
+from scope.roughness_regain import Regain, regain
 from scope.roughness_texture import Texture, texture
 
 LINEAR = (
     "Sa", "Sp", "Sv", "Sz", "Sxp", "Sz99", "Sk", "Spk", "Svk", "Vmp", "Vmc", "Vvv", "Vvc",
 )  # fmt: skip
-_FEW_GAPS = 0.01  # fewer need no looking into
+SHARES = ("Smr1", "Smr2")
+_DRAWS = 4  # of noise that is added
+_BANDS = 8  # of rows, whose scatter tells how sure the regain of slopes is
 _QUIET_SLOPES = 0.5  # noise below this share of the slopes' variance needs no smoothing before it is subtracted
 
 
@@ -34,10 +39,13 @@ class Evidence:
     slope_noise: Array  # (2,) variance of the slopes that noise predicts, down and along; 0 with a repeat
     slope_index: tuple[float, float]  # nesting index (mm, down and along) of that smoothing, 0 for none
     stripe_width: float = 0.0  # mm, one sigma of the stripe's profile, down the rows; 0 where it is not known
+    slope_regain: Regain = field(default_factory=Regain)  # what the smoothing took from Sdq
+    answers: Mapping[str, float] = field(default_factory=dict)  # see `answers_to_noise`
+    stripe_left: float = 1.0  # share of what that width averages that is still missing in the heights
 
     @classmethod
     def gather(
-        cls, heights: HeightMap, noise: Noise, rng: np.random.Generator, *, stripe_width: float = 0.0
+        cls, heights: HeightMap, noise: Noise, rng: np.random.Generator, *, stripe_width: float = math.nan
     ) -> Evidence:
         """Put together a map and its noise (see `Noise`).
 
@@ -58,10 +66,11 @@ class Evidence:
         second = first if noise.second is None else smooth(noise.second)
         slope_noise = np.zeros(2)
         if noise.source == "sigma":
-            draw = noise.floor * rng.standard_normal(z.shape)
-            draw[~heights.known] = np.nan
+            draw = noise.sample
+            if draw is None:
+                draw = np.where(heights.known, noise.floor * rng.standard_normal(z.shape), np.nan)
             slope_noise = gradient_products(smooth(draw), smooth(draw), pitch)
-        return cls(
+        made = cls(
             z=z,
             pitch=pitch,
             second=noise.second,
@@ -69,32 +78,39 @@ class Evidence:
             slope_maps=(first, second),
             slope_noise=slope_noise,
             slope_index=index,
-            stripe_width=stripe_width,
+            answers=answers_to_noise(z, noise, rng),
+            stripe_width=0.0 if math.isnan(stripe_width) or noise.source == "unknown" else stripe_width,
+            stripe_left=1.0 - heights.stripe_corrected,
         )
+        return replace(made, slope_regain=made.regained())
 
-    def slope_loss(self) -> float:
-        """By how much of itself Sdq falls when its smoothing is made 1.4 times as long: what the smoothing itself took."""
+    def stripe_loss(self, sq: float) -> float:
+        """Share of Sq (mm) that a stripe of this width averages away: to first order, width and slope squared over 2 Sq squared."""
+        slopes = gradient_products(*self.slope_maps, self.pitch) - self.slope_noise
+        return 0.5 * self.stripe_width**2 * max(float(slopes[0]), 0.0) / sq**2 if sq > 0.0 else 0.0
+
+    def regained(self) -> Regain:
+        """What the smoothing took from Sdq; see `regain`."""
         if self.slope_index == (0.0, 0.0):
-            return 0.0
+            return Regain()
         first, second = self.slope_maps
         more = [_smoothed(values, self.pitch, self.slope_index) for values in (first, second)]
-        before = (gradient_products(first, second, self.pitch) - self.slope_noise).sum()
-        # The noise that is left behind twice the smoothing: white noise of slopes falls with its fourth power.
-        after = (gradient_products(more[0], more[1], self.pitch) - self.slope_noise / 4.0).sum()
-        return abs(1.0 - math.sqrt(max(float(after / before), 0.0))) if before > 0.0 else math.inf
+        bands = [slice(*ends) for ends in pairwise(np.linspace(0, len(first), _BANDS + 1).astype(int))]
+        # white noise of slopes falls with the fourth power of the window: to a quarter behind twice its variance
+        before, after = (
+            np.array([(gradient_products(a[band], b[band], self.pitch) - noise).sum() for band in bands])
+            for (a, b), noise in (((first, second), self.slope_noise), (more, self.slope_noise / 4.0))
+        )
+        return regain(before, after)
 
     def part(self, keep: Bools) -> Evidence:
         """Evidence with the heights outside a mask (rows, columns) turned into gaps."""
         first, second = (np.where(keep, values, np.nan) for values in self.slope_maps)
-        return Evidence(
+        return replace(
+            self,
             z=np.where(keep, self.z, np.nan),
-            pitch=self.pitch,
             second=None if self.second is None else np.where(keep, self.second, np.nan),
-            noise_variance=self.noise_variance,
             slope_maps=(first, first if self.slope_maps[1] is self.slope_maps[0] else second),
-            slope_noise=self.slope_noise,
-            slope_index=self.slope_index,
-            stripe_width=self.stripe_width,
         )
 
 
@@ -129,11 +145,10 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
 
     Sq and the slopes by subtraction of variances (or as products of two scans); Ssk and Sku by cumulants, which add
     for independent noise and of which Gaussian noise has none beyond the second; Sal, Str and Std from the
-    autocorrelation without its noise peak; the heights and volumes of the material ratio curve scaled by the ratio of
-    Sq, which is exact where surface and noise are both Gaussian. A stripe of known width averages the surface across
-    itself: to the first order that takes width squared times the squared slope across from Sq squared, which is put
-    back. Smr1 and Smr2 stay as they are. ``with_raw`` false
-    saves the time of what only the raw values need.
+    autocorrelation without its noise peak; the heights and volumes of the material ratio curve by the ratio of
+    Sq and by what more noise does to each (`answers_to_noise`). A stripe of known width averages the surface across
+    itself: to the first order that takes width squared times the squared slope across from Sq squared, of which is put
+    back what ranging has not. ``with_raw`` false saves the time of what only the raw values need.
     """
     z, pitch, second = evidence.z, evidence.pitch, evidence.second
     raw = _distribution(z)
@@ -146,12 +161,14 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
     first, other = evidence.slope_maps
     slopes = gradient_products(first, other, pitch) - evidence.slope_noise
     noise_free = variance
-    variance += evidence.stripe_width**2 * max(float(slopes[0]), 0.0)
+    variance += evidence.stripe_left * evidence.stripe_width**2 * max(float(slopes[0]), 0.0)
     clean = dict(raw)
     clean["Sq"] = math.sqrt(variance) if noise_free > 0.0 else math.nan
     shrink = clean["Sq"] / raw["Sq"] if raw["Sq"] > 0.0 else math.nan
     for name in LINEAR:
-        clean[name] = shrink * raw[name]
+        clean[name] = shrink * evidence.answers.get(name, 1.0) * raw[name]
+    for name in SHARES:
+        clean[name] = min(100.0, max(0.0, raw[name] + evidence.answers.get(name, 0.0)))
     if raw["Sq"] > 0.0:
         without = math.sqrt(noise_free) / raw["Sq"] if noise_free > 0.0 else math.nan
         clean["Ssk"] = raw["Ssk"] / without**3
@@ -160,71 +177,38 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
     clean |= {"Sal": found.Sal, "Str": found.Str, "Std": found.Std}
     smoothed = gradient_products(first, first, pitch).sum()
     surface = float(slopes.sum())
-    clean["Sdq"] = math.sqrt(surface) if surface > 0.0 else math.nan
-    less = math.sqrt(surface / smoothed) if surface > 0.0 and smoothed > 0.0 else math.nan
+    clean["Sdq"] = evidence.slope_regain.factor * math.sqrt(surface) if surface > 0.0 else math.nan
+    less = clean["Sdq"] / math.sqrt(smoothed) if smoothed > 0.0 else math.nan
     clean["Sdr"] = 100.0 * developed_area_ratio(first, pitch, scale=less)
     if with_raw:
         raw = raw_parameters(z, pitch).raw
     return Estimate(raw, clean, found)
 
 
-def chance(evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *, tiles: int = 24) -> dict[str, float]:
-    """Standard uncertainty of every parameter from noise, sampling and gaps together: the delete-a-tile jackknife.
+def answers_to_noise(z: Array, noise: Noise, rng: np.random.Generator) -> dict[str, float]:
+    """What noise does to the material ratio curve of heights (rows, columns) mm beyond what it does to Sq.
 
-    The map is cut into tiles at least four correlation lengths wide where that leaves enough of them; the spread of the
-    parameters with one tile left out at a time tells how they vary from patch to patch of this size (Efron and
-    Stein 1981). Noise is part of what varies. The extremes Sp, Sv, Sz are no averages, so theirs is the spread of
-    the extremes of single tiles, as Gumbel's law has it. On a regular texture all tiles are alike and hide what gaps do:
-    that is found by cutting the map's own gaps into it once more, elsewhere.
+    Found by doing it: noise is added to the heights as they look with theirs smoothed away (a parametric bootstrap;
+    Efron and Tibshirani 1993). For Gaussian heights there is nothing beyond; but of extremes white noise has more than a
+    smooth surface. Gives for each of `LINEAR` a factor to undo it, for Smr1 and Smr2 what is to be added (percent);
+    nothing where there is no noise, or nothing else.
     """
-    labels, count = _tiles(evidence.z, _correlation_lengths(estimate_.texture), evidence.pitch, tiles)
-    found: list[dict[str, float]] = []
-    extremes: list[dict[str, float]] = []
-    for tile in range(count):
-        inside = labels == tile
-        known = evidence.z[inside]
-        known = known[np.isfinite(known)]
-        if len(known) < 10:
-            continue
-        extremes.append({"Sp": float(known.max()), "Sv": float(-known.min()), "Sz": float(np.ptp(known))})
-        found.append(estimate(evidence.part(~inside), with_raw=False).clean)
-    if len(found) < 4:
-        return dict.fromkeys(estimate_.clean, math.nan)
-    spread = {}
-    for name in estimate_.clean:
-        values = np.array([one[name] for one in found])
-        values = values[np.isfinite(values)]
-        if len(values) < 0.5 * len(found):
-            spread[name] = math.nan
-        else:
-            spread[name] = float(np.sqrt((len(values) - 1) * np.mean((values - values.mean()) ** 2)))
-    for name in ("Sp", "Sv", "Sz"):
-        spread[name] = float(np.std([one[name] for one in extremes], ddof=1))
-    for name, moved in _gap_spread(evidence, estimate_, rng).items():
-        spread[name] = math.hypot(spread[name], moved)
-    if math.isfinite(estimate_.clean["Std"]):
-        turned = np.exp(2j * np.radians([one["Std"] for one in found if math.isfinite(one["Std"])]))
-        centred = np.angle(turned / turned.mean()) / 2.0
-        spread["Std"] = float(np.degrees(np.sqrt((len(turned) - 1) * np.mean(centred**2))))
-    return spread
-
-
-def _gap_spread(
-    evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *, draws: int = 4
-) -> dict[str, float]:
-    """Root mean square change (by parameter) that the map's own gaps make when they are cut again at a random shift."""
-    known = np.isfinite(evidence.z)
-    if known.mean() > 1.0 - _FEW_GAPS:
+    if math.isnan(noise.floor) or noise.floor == 0.0:
         return {}
-    changes: dict[str, list[float]] = {name: [] for name in estimate_.clean if name != "Std"}
-    for _ in range(draws):
-        shift = (int(rng.integers(known.shape[0])), int(rng.integers(known.shape[1])))
-        again = estimate(evidence.part(np.roll(known, shift, axis=(0, 1))), with_raw=False).clean
-        for name, found in changes.items():
-            change = again[name] - estimate_.clean[name]
-            if math.isfinite(change):
-                found.append(change)
-    return {name: math.sqrt(sum(c * c for c in found) / len(found)) for name, found in changes.items() if found}
+    known = np.isfinite(z)
+    calm = calmed(z, noise.floor)[known]
+    if calm.std() == 0.0:
+        return {}
+    before = _distribution(calm)
+    after = dict.fromkeys(before, 0.0)
+    for _ in range(_DRAWS):
+        for name, value in _distribution(calm + added_noise(noise, known, rng)[known]).items():
+            after[name] += value / _DRAWS
+    answers = {name: before[name] - after[name] for name in SHARES}
+    grown = after["Sq"] / before["Sq"]
+    return answers | {
+        name: grown * before[name] / after[name] if before[name] > 0.0 and after[name] > 0.0 else 1.0 for name in LINEAR
+    }
 
 
 def _smoothed(values: Array, pitch: tuple[float, float], index: tuple[float, float]) -> Array:
@@ -245,30 +229,3 @@ def _distribution(z: Array) -> dict[str, float]:
         **core_parameters(curve),
         **volume_parameters(curve),
     }
-
-
-def _correlation_lengths(found: Texture) -> tuple[float, float]:
-    """Lags (mm) down and along at which the correlation first falls to 0.2, the map's own reach where it does not."""
-    lengths = []
-    for axis in (0, 1):
-        lag, correlation = found.acf.profile(axis)
-        below = np.flatnonzero(correlation[1:] <= 0.2)
-        lengths.append(float(lag[below[0] + 1]) if len(below) else float(lag[-1]))
-    return lengths[0], lengths[1]
-
-
-def _tiles(z: Array, lengths: tuple[float, float], pitch: tuple[float, float], most: int) -> tuple[Array, int]:
-    """Label (rows, columns) of each height's tile, and how many tiles there are: 8 to about ``most``."""
-    room = [max(1.0, n * p / max(4.0 * length, 1e-12)) for n, p, length in zip(z.shape, pitch, lengths, strict=True)]
-    size = [n * p for n, p in zip(z.shape, pitch, strict=True)]
-    while room[0] * room[1] > most:
-        larger = 0 if size[1] / room[1] >= size[0] / room[0] and room[0] > 1.0 else 1
-        room[larger] = max(1.0, room[larger] * 0.95) if room[larger] > 1.0 else room[larger]
-        if room[larger] == 1.0:
-            room[1 - larger] *= 0.95
-    counts = [max(1, int(r)) for r in room]
-    while counts[0] * counts[1] < 8:
-        counts[0 if size[0] / counts[0] >= size[1] / counts[1] else 1] += 1
-    rows = np.minimum(np.arange(z.shape[0]) * counts[0] // z.shape[0], counts[0] - 1)
-    columns = np.minimum(np.arange(z.shape[1]) * counts[1] // z.shape[1], counts[1] - 1)
-    return rows[:, None] * counts[1] + columns[None, :], counts[0] * counts[1]

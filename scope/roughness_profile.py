@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.geometry import Array
-from scope.heightmap_filter import gaussian
+from scope.heightmap_filter import ALPHA, gaussian
 
 # Setting classes of ISO 21920-3: up to this mean element width (mm), this nesting index of the L-filter (mm).
 _CLASSES: tuple[tuple[float, float], ...] = ((0.04, 0.08), (0.13, 0.25), (0.4, 0.8), (1.3, 2.5), (math.inf, 8.0))
 SECTIONS = 5  # section lengths in an evaluation length (ISO 21920-3)
 DISCRIMINATION = 0.10  # of Rz: a hill or dale lower than this is none (ISO 21920-2)
+_FEWEST = 2  # section lengths that a cut-off found by itself must leave
+_BRIDGE = 3  # samples: a lost height or two end no element
 _MOST_PROFILES = 200  # whose elements are looked at one by one
 
 
@@ -34,12 +36,13 @@ class Profiles:
         return max(1, round(self.cutoff / self.pitch))
 
 
-def roughness_profiles(z: Array, pitch: float, cutoff: float | None = None) -> Profiles:
+def roughness_profiles(z: Array, pitch: float, cutoff: float | None = None, *, noise: float = 0.0) -> Profiles:
     """Take the mean line off primary profiles (profiles, samples) mm sampled at ``pitch`` mm.
 
     The evaluation length is the middle of the map, in five sections of one nesting index, or as many as fit. Without a
-    ``cutoff`` (mm) it is that of ISO 21920-3 for the mean width of the elements, or the longest of that table of which
-    five sections fit where this is shorter.
+    ``cutoff`` (mm) it is that of ISO 21920-3 for the mean width of the elements, or the longest of that table that fits
+    twice where this is shorter: fewer sections than five cost certainty, a cut-off that is too short costs roughness.
+    ``noise`` (mm rms, 0 for none) is smoothed away before the elements' width is taken.
 
     Raises
     ------
@@ -47,7 +50,7 @@ def roughness_profiles(z: Array, pitch: float, cutoff: float | None = None) -> P
         A cut-off longer than the profiles or shorter than two samples.
     """
     length = z.shape[1] * pitch
-    index = _default_cutoff(z, pitch) if cutoff is None else cutoff
+    index = _default_cutoff(z, pitch, noise) if cutoff is None else cutoff
     if not 2.0 * pitch <= index <= length:
         raise ValueError(f"a cut-off of {index:g} mm does not fit profiles of {length:.3g} mm at {pitch:.3g} mm")
     smooth = gaussian(z, (1.0, pitch), (0.0, index))
@@ -77,39 +80,52 @@ def profile_parameters(profiles: Profiles) -> dict[str, Array]:
     square = centred * centred
     variance = square.sum(axis=1) / count
     safe = np.where(variance > 0.0, variance, np.nan)
-    highest = np.where(known, centred, -np.inf).max(axis=1)
-    lowest = np.where(known, centred, np.inf).min(axis=1)
     step = np.diff(z, axis=1) / profiles.pitch
     pairs = np.isfinite(step)
     result = {
         "Ra": np.abs(centred).sum(axis=1) / count,
         "Rq": np.sqrt(variance),
-        "Rz": _section_heights(np.where(known, centred, np.nan), profiles.section),
-        "Rt": highest - lowest,
+        **profile_extremes(profiles),
         "Rsk": (square * centred).sum(axis=1) / count / safe**1.5,
         "Rku": (square * square).sum(axis=1) / count / safe**2,
         "Rdq": np.sqrt(np.square(np.where(pairs, step, 0.0)).sum(axis=1) / np.maximum(pairs.sum(axis=1), 1)),
     }
     result = {name: np.where(enough, each, np.nan) for name, each in result.items()}
-    result["RSm"], result["Rc"] = np.full(len(z), np.nan), np.full(len(z), np.nan)
-    rows = np.flatnonzero(enough)
+    return result | profile_elements(profiles)
+
+
+def profile_elements(profiles: Profiles) -> dict[str, Array]:
+    """RSm and Rc of each profile, (profiles,) mm each, as `profile_parameters` has them; of 200 profiles at most."""
+    z, heights = profiles.z, profile_extremes(profiles)["Rz"]
+    result = {"RSm": np.full(len(z), np.nan), "Rc": np.full(len(z), np.nan)}
+    rows = np.flatnonzero(np.isfinite(heights))
     for row in rows[:: max(1, -(-len(rows) // _MOST_PROFILES))]:
         result["RSm"][row], result["Rc"][row] = elements(
-            np.where(known[row], centred[row], np.nan), profiles.pitch, DISCRIMINATION * result["Rz"][row]
+            z[row] - np.nanmean(z[row]), profiles.pitch, DISCRIMINATION * heights[row]
         )
     return result
+
+
+def profile_extremes(profiles: Profiles) -> dict[str, Array]:
+    """Rz and Rt of each profile, (profiles,) mm each, as `profile_parameters` has them."""
+    z = profiles.z
+    known = np.isfinite(z)
+    enough = known.sum(axis=1) >= max(10, z.shape[1] // 2)
+    height = np.where(known, z, -np.inf).max(axis=1) - np.where(known, z, np.inf).min(axis=1)
+    sections = _section_heights(z, profiles.section)
+    return {"Rz": np.where(enough, sections, np.nan), "Rt": np.where(enough, height, np.nan)}
 
 
 def elements(profile: Array, pitch: float, threshold: float) -> tuple[float, float]:
     """Mean width (mm) and mean height (mm) of the elements of a profile (N,) mm about its mean line: RSm and Rc.
 
     An element runs from one upward crossing of the mean line to the next; a hill or a dale that stays within
-    ``threshold`` (mm) of the line is not one and does not end an element. Elements do not reach across gaps; NaN where
-    there is none.
+    ``threshold`` (mm) of the line is not one and does not end an element. Elements reach across gaps of up to three samples,
+    which straight lines bridge, and no farther; NaN where there is none.
     """
     widths, heights = 0.0, 0.0
     count = 0
-    for piece in _pieces(profile):
+    for piece in _pieces(_bridged(profile)):
         crossings = _upward_crossings(piece, threshold)
         if len(crossings) < 2:
             continue
@@ -134,6 +150,17 @@ def _upward_crossings(piece: Array, threshold: float) -> Array:
     return np.asarray(last + piece[last] / (piece[last] - piece[last + 1]))
 
 
+def _bridged(profile: Array) -> Array:
+    """Profile (N,) mm with a straight line over every gap of up to three samples."""
+    known = np.flatnonzero(np.isfinite(profile))
+    if len(known) in (0, len(profile)):
+        return profile
+    bridge = np.interp(np.arange(len(profile)), known, profile[known], left=np.nan, right=np.nan)
+    before = np.searchsorted(known, np.arange(len(profile)), "right") - 1
+    width = np.append(np.diff(known), 1)[np.maximum(before, 0)] - 1
+    return np.where(width <= _BRIDGE, bridge, profile)
+
+
 def _pieces(profile: Array) -> Iterator[Array]:
     """Stretches of a profile without gaps, of ten samples or more."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.isfinite(profile).astype(np.int8), [0]])))
@@ -153,19 +180,33 @@ def _section_heights(z: Array, section: int) -> Array:
     return np.asarray(np.divide(total, good.sum(axis=1), out=np.full(len(z), np.nan), where=good.any(axis=1)))
 
 
-def _default_cutoff(z: Array, pitch: float) -> float:
+def _default_cutoff(z: Array, pitch: float, noise: float) -> float:
     length = float(z.shape[1] * pitch)
-    fitting = [index for _, index in _CLASSES if 4.0 * pitch <= index <= length / SECTIONS]
+    fitting = [index for _, index in _CLASSES if 4.0 * pitch <= index <= length / _FEWEST]
     if not fitting:
         return max(4.0 * pitch, length / SECTIONS) if length >= 4.0 * pitch else length
     widths = []
-    for row in range(0, len(z), max(1, len(z) // 50)):
-        profile = z[row] - np.nanmean(z[row]) if np.isfinite(z[row]).any() else z[row]
-        threshold = DISCRIMINATION * float(np.ptp(profile[np.isfinite(profile)])) if np.isfinite(profile).any() else 0.0
-        widths.append(elements(profile, pitch, threshold)[0])
+    for profile in _calmed(z[:: max(1, len(z) // 50)], noise):
+        if np.isfinite(profile).any():
+            profile = profile - np.nanmean(profile)
+            widths.append(elements(profile, pitch, DISCRIMINATION * float(np.nanmax(profile) - np.nanmin(profile)))[0])
     found = np.array(widths)[np.isfinite(widths)]
     if len(found) == 0:
         return fitting[-1]
     width = float(np.median(found))
     wanted = next(index for limit, index in _CLASSES if width <= limit)
     return min(max(wanted, fitting[0]), fitting[-1])
+
+
+def _calmed(z: Array, noise: float) -> Array:
+    """Profiles (N, samples) mm behind the shortest Gaussian that leaves white noise (mm rms) a hundredth of the variance.
+
+    A smoothed wave keeps its width, which noise would cut to pieces.
+    """
+    smooth, index = z, 2.0
+    left = noise**2
+    while left > 0.01 * float(np.nanvar(smooth)) and index < z.shape[1] / 8.0:
+        smooth = np.where(np.isfinite(z), gaussian(z, (1.0, 1.0), (0.0, index)).z, np.nan)
+        left = noise**2 / (math.sqrt(2.0) * ALPHA * index)  # the integral of the squared weights
+        index *= 1.5
+    return smooth

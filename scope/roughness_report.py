@@ -38,14 +38,15 @@ def roughness_text(patches: Sequence[Roughness]) -> str:
 
 
 def roughness_csv(patches: Sequence[Roughness]) -> str:
-    """One line a patch and parameter: patch, group, parameter, value, uncertainty (k = 2), unit, raw, reason."""
+    """One line a patch and parameter: patch, group, parameter, value, uncertainty (k = 2), unit, raw, reason, bound (lower: one-sided)."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["patch", "group", "parameter", "value", "uncertainty_k2", "unit", "raw", "reason"])
+    writer.writerow(["patch", "group", "parameter", "value", "uncertainty_k2", "unit", "raw", "reason", "bound"])
     for patch in patches:
         for group, name, p in _every(patch):
+            bound = "lower" if p.at_least else ""
             cells = ["" if number is None else f"{number:.9g}" for number in (p.value, p.uncertainty, p.raw)]
-            writer.writerow([patch.name, group, name, cells[0], cells[1], p.unit, cells[2], p.reason])
+            writer.writerow([patch.name, group, name, cells[0], cells[1], p.unit, cells[2], p.reason, bound])
     return stream.getvalue()
 
 
@@ -158,7 +159,7 @@ def _table(page: Page, title: str, table: Mapping[str, Parameter], definitions: 
     page.heading(title)
     rows = []
     for name, p in table.items():
-        value = "withheld" if p.value is None else f"{p.value:.4g}"
+        value = "withheld" if p.value is None else f"{'≥ ' if p.at_least else ''}{p.value:.4g}"
         spread = "" if p.uncertainty is None else f"± {p.uncertainty:.2g}"
         raw = "" if p.raw is None else f"{p.raw:.4g}"
         told = p.reason or p.note or definitions[name].meaning
@@ -172,7 +173,8 @@ def _shown(p: Parameter) -> str:
     if p.value is None:
         return f"withheld: {p.reason}"
     spread = "" if p.uncertainty is None else f" ± {p.uncertainty:.2g}"
-    return f"{p.value:.4g}{spread} {p.unit}".rstrip()
+    least = "at least " if p.at_least else ""
+    return f"{least}{p.value:.4g}{spread} {p.unit}".rstrip()
 
 
 def _every(patch: Roughness) -> Iterator[tuple[str, str, Parameter]]:

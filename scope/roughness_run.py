@@ -7,18 +7,27 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from calibration.errors import FileError
+from calibration.geometry import Pose
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
-from scope.heightmap_files import ENDINGS, read_heights, within
+from scope.heightmap import HeightMap
+from scope.heightmap_files import ENDINGS, NoLatticeError, read_heights, read_xyz, within
 from scope.region import Region
 from scope.roughness import Roughness, RoughnessOptions, measure_heights, measure_roughness
 
 
 def options_from_text(
-    form: str, *, s_filter: float | None = None, l_filter: float | None = None, stripe_width: float | None = None
+    form: str,
+    *,
+    s_filter: float | None = None,
+    l_filter: float | None = None,
+    stripe_width: float | None = None,
+    cloud_from_model: Pose | None = None,
 ) -> RoughnessOptions:
-    """Options as the command line gives them; ``form`` may be ``model:file``, a mesh in the cloud frame.
+    """Options as the command line gives them; ``form`` may be ``model:file``, a mesh in the cloud or its own frame.
 
     ``ValueError`` for a form that is not known, ``FileError`` for a mesh that cannot be read.
     """
@@ -29,9 +38,29 @@ def options_from_text(
     if form.startswith("model:"):
         from scope.heightmap_model import read_mesh
 
-        return replace(options, model=read_mesh(Path(form[6:])))
+        return replace(options, model=read_mesh(Path(form[6:]), cloud_from_model=cloud_from_model))
     require_form(form)
     return replace(options, form=form)
+
+
+def _map_of(source: Path, pitch: tuple[float, float] | None) -> HeightMap | None:
+    """Height map of a file; None where it holds a cloud."""
+    if source.suffix.lower() not in ENDINGS:
+        return None
+    try:
+        return read_heights(source, pitch=pitch)
+    except NoLatticeError:
+        return None
+
+
+def _cloud_of(source: Path) -> ScanCloud:
+    if source.suffix.lower() != ".xyz":
+        return ScanCloud.load(source)
+    points = read_xyz(source)
+    bad = int((~np.isfinite(points).all(axis=1)).sum())
+    if bad:
+        raise FileError(f"{source}: {bad} of {len(points)} points are NaN or infinite; remove them, then try again")
+    return ScanCloud.from_points(points)
 
 
 def run_roughness(
@@ -44,20 +73,21 @@ def run_roughness(
 ) -> list[Roughness]:
     """Measure every region of a cloud (.ply) or of a height map (.npy, .asc, .txt, .xyz, .sdf, .x3p).
 
-    ``pitch`` is that of a height map which tells none, mm (down, along). An error in one region names it.
+    An .xyz whose points stand on no lattice is a cloud without scan order.     ``pitch`` is that of a height map which tells none, mm (down, along). An error in one region names it.
     """
-    is_map = source.suffix.lower() in ENDINGS
+    heights = _map_of(source, pitch)
+    is_map = heights is not None
     if is_map and (noise is not None or options.model is not None):
         raise FileError(f"{source}: --noise and --form model: need a cloud; a height map has no places in space")
-    if is_map:
-        heights = read_heights(source, pitch=pitch)
-    else:
-        cloud = ScanCloud.load(source)
+    if not is_map:
+        if pitch is not None:
+            raise FileError(f"{source}: is a cloud, which has a pitch of its own; leave --pitch away")
+        cloud = _cloud_of(source)
         repeat = None if noise is None else ScanCloud.load(noise)
     found = []
     for name, region in regions or [(source.name, None)]:
         try:
-            if is_map:
+            if heights is not None:
                 patch = heights if region is None else within(heights, region)
                 found.append(measure_heights(patch, options=options, name=name))
             else:

@@ -70,6 +70,7 @@ class Parameter:
     raw: float | None = None  # with the noise still in it
     note: str = ""  # what the value is good for
     clause: str = ""
+    at_least: bool = False  # a one-sided bound: what was not seen may only make it greater
 
     def to_dict(self) -> dict[str, float | str | None]:
         """As it stands in JSON."""
@@ -80,4 +81,6 @@ class Parameter:
             told["reason"] = self.reason
         if self.note:
             told["note"] = self.note
+        if self.at_least:
+            told["bound"] = "lower"
         return told

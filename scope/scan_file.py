@@ -9,9 +9,9 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -25,7 +25,7 @@ from scope.capture import read_capture
 from scope.cloud import ScanCloud
 from scope.files import SENSOR, VERTEX, comments, require_format, sensor_records, vertex_records
 from scope.scanning import Plan, ScanOptions, joined
-from scope.tally import Chunk, Scan, Tally
+from scope.tally import Chunk, Footprint, Scan, Tally
 
 _LONGEST = 1 << 16  # bytes of a line of JSON
 _FRAMES = 1024  # whose sensors are held at once
@@ -113,6 +113,7 @@ def _write_chunk(stream: BinaryIO, chunk: Chunk) -> None:
         "points": len(chunk.cloud),
         "empty": chunk.empty,
         "rejected": chunk.rejected,
+        "stripes": {str(laser): list(stripe) for laser, stripe in chunk.stripes.items()},
     }
     try:
         stream.write(json.dumps(head).encode() + b"\n" + vertex_records(chunk.cloud).tobytes())
@@ -128,7 +129,7 @@ def _write_streamed(out: Path, part: Path, plan: Plan, tally: Tally, why: str) -
     with written_whole(out) as stream:
         seen = [np.unique(rows["frame"]) for _, rows in _records(part)]
         frames = np.unique(np.concatenate(seen))
-        nothing = plan.described(ScanCloud.from_points(np.zeros((0, 3))), why)
+        nothing = plan.described(ScanCloud.from_points(np.zeros((0, 3))), why, tally)
         counts = {"vertex": (VERTEX, tally.points), "sensor": (SENSOR, len(frames) * len(plan.lasers))}
         stream.write(ply.header(counts, comments(nothing)))
         for _, rows in _records(part):
@@ -164,6 +165,7 @@ class _Head:
     empty: int
     rejected: Counter[str]
     end: int = 0  # of the chunk, bytes from the start of the file
+    stripes: Mapping[int, Footprint] = field(default_factory=dict)
 
     @classmethod
     def read(cls, stream: BinaryIO) -> _Head | None:
@@ -174,12 +176,16 @@ class _Head:
                 return None
             numbers = [int(told[key]) for key in ("first", "frames", "points", "empty")]
             rejected = Counter({str(key): int(value) for key, value in told["rejected"].items()})
+            stripes = {
+                int(laser): Footprint(float(width), float(corrected), int(count))
+                for laser, (width, corrected, count) in told["stripes"].items()
+            }
         except (KeyError, TypeError, ValueError, AttributeError):
             return None
         if min(numbers) < 0 or numbers[2] > 1 << 28:
             return None
         first, frames, points, empty = numbers
-        return cls(first, frames, points, empty, rejected, stream.tell() + points * VERTEX.itemsize)
+        return cls(first, frames, points, empty, rejected, stream.tell() + points * VERTEX.itemsize, stripes)
 
 
 def _records(part: Path) -> Iterator[tuple[_Head, ply.Records]]:
@@ -206,7 +212,7 @@ def _chunk(head: _Head, rows: ply.Records) -> Chunk:
         frame=rows["frame"].copy(),
         laser=rows["laser"].copy(),
     )
-    return Chunk(head.first, head.frames, cloud, head.rejected, head.empty)
+    return Chunk(head.first, head.frames, cloud, head.rejected, head.empty, head.stripes)
 
 
 def _json_line(stream: BinaryIO) -> dict[str, Any] | None:

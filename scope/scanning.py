@@ -30,7 +30,7 @@ from scope.filters import FilterOptions, filtered
 from scope.frames import Frame, Source, in_order, open_source
 from scope.images import Image, read_alike, shape_text
 from scope.lasers_agree import Agreement, agreements
-from scope.tally import Chunk, Scan, Tally
+from scope.tally import Chunk, Footprint, Scan, Tally
 
 CHUNK = 24  # frames ranged at once
 FIRST = 2  # the same, of the first, so that points are seen at once
@@ -300,20 +300,25 @@ class Plan:
         """Refine the frames from position ``begun`` to ``end`` of a window that begins at ``at``, and gather their points."""
         parts: list[ScanCloud] = []
         rejected: Counter[str] = Counter()
+        stripes: dict[int, Footprint] = {}
         with_points: set[int] = set()
         for k in range(len(self.lasers)):
             shown = [(at + i, sight) for i, sight in enumerate(window) if k in sight.seen]
             first, last = (sum(1 for position, _ in shown if position < edge) for edge in (begun, end))
             if first == last:
                 continue
-            part, counts = self._refined(k, [sight for _, sight in shown], first, last)
+            part, counts, stripe = self._refined(k, [sight for _, sight in shown], first, last)
+            if stripe is not None:
+                stripes[k] = stripe
             rejected += counts
             with_points |= set(np.unique(part.frame).tolist())
             parts.append(part)
         numbers = {sight.number for sight in window[begun - at : end - at]}
-        return Chunk(begun, end - begun, joined(parts), rejected, len(numbers - with_points))
+        return Chunk(begun, end - begun, joined(parts), rejected, len(numbers - with_points), stripes)
 
-    def _refined(self, k: int, sights: list[_Sight], first: int, last: int) -> tuple[ScanCloud, Counter[str]]:
+    def _refined(
+        self, k: int, sights: list[_Sight], first: int, last: int
+    ) -> tuple[ScanCloud, Counter[str], Footprint | None]:
         lattice = Lattice.of([sight.seen[k] for sight in sights])
         exposures = [] if isinstance(self.motion, Fixed) else [sight.exposures.get(k) for sight in sights]
         found = refine(lattice, first, last, exposures)
@@ -339,7 +344,7 @@ class Plan:
             frame=np.broadcast_to(numbers[:, None], reason.shape)[keep],
             laser=np.full(int(keep.sum()), k, dtype=np.uint8),
         )
-        return cloud, counts
+        return cloud, counts, _footprint(found.footprint[keep], found.corrected[keep])
 
     def refuse_nothing(self, tally: Tally) -> None:
         """``RangingError`` where no frame gave a point."""
@@ -354,10 +359,13 @@ class Plan:
             "ranges outside)"
         )
 
-    def described(self, cloud: ScanCloud, why: str) -> ScanCloud:
+    def described(self, cloud: ScanCloud, why: str, tally: Tally) -> ScanCloud:
         """Cloud with all that is known of the scan but its sensors."""
+        stripes = [tally.stripes.get(k, Footprint(np.nan, 0.0, 0)) for k in range(len(self.lasers))]
         return replace(
             cloud,
+            stripe_width=tuple(stripe.width for stripe in stripes),
+            stripe_corrected=tuple(stripe.corrected for stripe in stripes),
             laser_names=tuple(laser.name for laser in self.lasers),
             rig_sha256=self.rig.sha256,
             verified=self.rig.verification.passed,
@@ -369,7 +377,7 @@ class Plan:
         """Sensors, normals, filters and the agreement of lasers; ``RangingError`` where no frame gave a point."""
         self.refuse_nothing(tally)
         numbers = np.unique(cloud.frame).tolist()
-        cloud = replace(self.described(cloud, why), sensors=self.sensors(numbers))
+        cloud = replace(self.described(cloud, why, tally), sensors=self.sensors(numbers))
         agreement = agreements(cloud)
         if self.options.normals:
             from scope.normals import lattice_normals
@@ -418,6 +426,14 @@ def joined(parts: list[ScanCloud]) -> ScanCloud:
     if len(parts) == 1 or np.all(np.diff(whole.frame.astype(np.int64) * 256 + whole.laser) >= 0):
         return whole
     return whole.select(np.lexsort((whole.laser, whole.frame)))
+
+
+def _footprint(width: Array, corrected: Array) -> Footprint | None:
+    """Of the points (N,) whose width (mm) is known; None where there is none."""
+    known = np.isfinite(width)
+    if not known.any():
+        return None
+    return Footprint(float(np.median(width[known])), float(np.nanmean(corrected)), int(known.sum()))
 
 
 def _lasers(capture: Capture, rig: Rig) -> tuple[Laser, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,21 @@ from scope.cloud import ScanCloud
 from scope.lasers_agree import Agreement
 
 _LEAST, _MOST, _STEP = np.log(1e-7), np.log(1e4), 5e-4  # mm; a bin of the histogram is 0.05 % wide
+
+
+class Footprint(NamedTuple):
+    """The stripe of one laser on the surface, over a number of points."""
+
+    width: float  # mm, one sigma
+    corrected: float  # share (0 to 1) of what it does to a curved surface that ranging took off
+    points: int
+
+    def __or__(self, other: Footprint) -> Footprint:
+        """Both together, weighted by their points."""
+        total = self.points + other.points
+        part = other.points / total if total else 0.0
+        width = self.width + part * (other.width - self.width)
+        return Footprint(width, self.corrected + part * (other.corrected - self.corrected), total)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,6 +40,7 @@ class Chunk:
     cloud: ScanCloud  # without sensors
     rejected: Counter[str]
     empty: int  # frames without a single point
+    stripes: Mapping[int, Footprint] = field(default_factory=dict)  # by laser
 
 
 @dataclass(slots=True, eq=False)
@@ -57,6 +74,7 @@ class Tally:
     rejected: Counter[str] = field(default_factory=Counter)
     sigma: Median = field(default_factory=Median)
     sigma_cal: Median = field(default_factory=Median)
+    stripes: dict[int, Footprint] = field(default_factory=dict)  # by laser
 
     def add(self, chunk: Chunk) -> None:
         """Count one more chunk."""
@@ -66,6 +84,8 @@ class Tally:
         self.rejected += chunk.rejected
         self.sigma.add(chunk.cloud.sigma)
         self.sigma_cal.add(chunk.cloud.sigma_cal)
+        for laser, stripe in chunk.stripes.items():
+            self.stripes[laser] = self.stripes[laser] | stripe if laser in self.stripes else stripe
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,6 +38,8 @@ def cloud(n: int = 60) -> ScanCloud:
         rig_sha256="ab" * 32,
         verified=True,
         complete=False,
+        stripe_width=(0.25,),
+        stripe_corrected=(0.75,),
         camera_centre=np.array([0.25, -0.5, 1.0]),
     )  # fmt: skip
 
@@ -65,10 +67,20 @@ def test_it_comes_back_whole(written: Path) -> None:
         assert np.array_equal(scalars(back)[name].astype(np.float32), value.astype(np.float32)), name
     assert (back.laser_names, back.rig_sha256, back.verified, back.complete) == (("deep red",), "ab" * 32, True, False)
     assert np.array_equal(back.camera_centre, mine.camera_centre)
+    assert (back.stripe_width, back.stripe_corrected) == ((0.25,), (0.75,))
     assert back.sensors is not None
     assert mine.sensors is not None
     assert np.array_equal(back.sensors.centre, mine.sensors.centre.astype(np.float32))
     assert np.isnan(back.sensors.laser_origin).all()
+
+
+def test_a_stripe_that_is_not_told_is_not_known(written: Path, tmp_path: Path) -> None:
+    content = written.read_bytes()
+    for line, told in ((b"", ()), (b"comment stripe 0 wide\n", ()), (b"comment stripe 0 nan 0\n", (np.nan,))):
+        (tmp_path / "other.ply").write_bytes(content.replace(b"comment stripe 0 0.25 0.75\n", line))
+        back = ScanCloud.load(tmp_path / "other.ply")
+        assert np.array_equal(back.stripe_width, told, equal_nan=True)
+        assert len(back) == len(cloud())
 
 
 def test_plyfile_reads_every_scalar(written: Path) -> None:

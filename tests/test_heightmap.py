@@ -122,6 +122,11 @@ def test_patches_that_cannot_be():
         patch_heights(cloud, Box(x=(0.0, 1.0), y=(0.0, 1.0)))
     with pytest.raises(MeasurementError, match="single profile of 1500 points"):
         patch_heights(scan_of(np.zeros((1, 1500))))
+    with pytest.raises(MeasurementError, match=r"scatter by [0-9.]+ mm rms along the sight"):
+        patch_heights(scan_of(400.0 * z / z.std() * 0.1))  # deeper than wide: its plane would stand on end
+    assert any(
+        "are the data in mm?" in note for note in patch_heights(replace(cloud, points=1e-3 * cloud.points)).notes
+    )
     line = np.stack([np.arange(2000.0), np.zeros(2000), np.zeros(2000)], axis=1)
     with pytest.raises(MeasurementError, match="on one line"):
         patch_heights(ScanCloud.from_points(line))
@@ -308,6 +313,9 @@ def test_regions_as_text(tmp_path):
             parse_region(text)
     with pytest.raises(FileError, match="could not be read"):
         parse_region(f"polygon:{tmp_path / 'none.csv'}")
+    corners.write_text("x,y\n0,0\nnan,5\n5,5\n")
+    with pytest.raises(FileError, match="not finite"):
+        parse_region(f"polygon:{corners}")
     corners.write_text("x,y\n0,0\n")
     with pytest.raises(FileError, match="no polygon"):
         parse_region(f"polygon:{corners}")
@@ -326,9 +334,10 @@ def test_files_of_heights(tmp_path):
     order = rng.permutation(len(rows))
     table = np.stack([columns * 0.1, rows * 0.2, z[rows, columns]], axis=1)[order]
     np.savetxt(tmp_path / "a.xyz", table, fmt="%.6f")
+    np.savetxt(tmp_path / "comma.xyz", table, fmt="%.6f", delimiter=",", header="x,y,z", comments="")
     for name, pitch, told in (
         ("a.npy", (0.2, 0.1), (0.2, 0.1)), ("a.txt", (0.2, 0.1), (0.2, 0.1)), ("a.asc", None, (0.25, 0.25)),
-        ("a.xyz", None, (0.2, 0.1)),
+        ("a.xyz", None, (0.2, 0.1)), ("comma.xyz", None, (0.2, 0.1)),
     ):  # fmt: skip
         heights = read_heights(tmp_path / name, pitch=pitch)
         np.testing.assert_allclose(heights.z, z, atol=1e-9)
@@ -336,6 +345,8 @@ def test_files_of_heights(tmp_path):
     cut = within(read_heights(tmp_path / "a.npy", pitch=(0.2, 0.1)), Box(x=(0.0, 1.0)))
     assert np.isfinite(cut.z[:, :11]).sum() == np.isfinite(z[:, :11]).sum()
     assert not np.isfinite(cut.z[:, 11:]).any()
+    with pytest.raises(MeasurementError, match="the region is empty: the map spans x 0 to 2.9"):
+        within(read_heights(tmp_path / "a.npy", pitch=(0.2, 0.1)), Box(x=(5.0, 6.0)))
 
 
 @pytest.mark.skipif(find_spec("sdfio") is None or find_spec("x3pio") is None, reason="optional packages")
@@ -364,9 +375,12 @@ def test_files_that_are_no_height_maps(tmp_path):
     (tmp_path / "a.asc").write_text("ncols 3\nnrows 2\ncellsize 1\n1 2 3\n")
     (tmp_path / "b.asc").write_text("a b c\n")
     np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).random((50, 3)))
+    np.save(tmp_path / "complex.npy", np.zeros((5, 5), dtype=complex))
+    (tmp_path / "empty.asc").write_text("")
     for name, told in (
         ("a.npy", "does not say its pitch"), ("a.asc", "its header tells"), ("b.asc", "could not be read"),
         ("a.xyz", "no lattice"), ("none.npy", "could not be read"), ("a.stl", "is no height map"),
+        ("complex.npy", "real numbers"), ("empty.asc", "holds no heights"),
     ):  # fmt: skip
         with pytest.raises(FileError, match=told):
             read_heights(tmp_path / name)

@@ -20,8 +20,9 @@ from scope.heightmap_form import remove_form
 from scope.heightmap_patch import patch_heights
 from scope.region import Box
 from scope.roughness import RoughnessOptions, measure_heights, measure_roughness
+from scope.roughness_align import onto_lattice
 from scope.roughness_estimate import raw_parameters
-from scope.roughness_noise import neighbour_scatter, onto_lattice, repeat_noise
+from scope.roughness_noise import neighbour_scatter, repeat_noise
 from scope.roughness_run import run_roughness
 
 QUICK = RoughnessOptions(uncertainty=False)
@@ -162,8 +163,9 @@ def test_a_repeat_of_something_else_is_refused():
 def test_neighbour_scatter_bounds_the_noise():
     rng = np.random.default_rng(35)
     z = rough((300, 300), 10.0, rng) + 0.02 * rng.standard_normal((300, 300))
-    assert neighbour_scatter(z)[0] == pytest.approx(0.02, rel=0.02)
-    assert neighbour_scatter(rough((300, 300), 10.0, rng))[0] < 5e-4
+    for every in (1, 2, 3):
+        assert neighbour_scatter(z, every=every).scatter == pytest.approx((0.02, 0.02), rel=0.03)
+    assert max(neighbour_scatter(rough((300, 300), 10.0, rng)).scatter) < 5e-4
 
 
 def test_a_sigma_that_is_too_large_is_found_out():
@@ -191,7 +193,7 @@ def test_noise_that_is_everything_withholds_everything():
 def test_a_known_stripe_width_puts_back_what_it_averaged():
     """A stripe of one sigma 2.5 samples across the rows of a surface of correlation length 12."""
     rng = np.random.default_rng(38)
-    z = rough((500, 500), 12.0, rng)
+    z = rough((360, 360), 12.0, rng)
     seen = gaussian_filter(z, (2.5, 0.0), mode="wrap")
     blurred, mended = (
         measure_roughness(scan_of(seen, rng, noise=0.004), options=replace(QUICK, stripe_width=width))
@@ -200,6 +202,23 @@ def test_a_known_stripe_width_puts_back_what_it_averaged():
     truth = np.std(level(z))
     assert blurred.areal["Sq"].value < 0.97 * truth
     assert mended.areal["Sq"].value == pytest.approx(truth, rel=0.01)
+
+
+def test_what_ranging_has_put_back_is_not_put_back_again():
+    """Of 12 samples of correlation length a stripe of 2.5 averages (2.5 / 12)^2 = 4.3 % of Sq; half of it is the doubt."""
+    rng = np.random.default_rng(46)
+    cloud = scan_of(rough((200, 200), 12.0, rng), rng, noise=0.004)
+    told, plain = replace(cloud, stripe_width=(0.25,), stripe_corrected=(1.0,)), RoughnessOptions()
+    corrected, unknown = measure_roughness(told, options=plain), measure_roughness(cloud, options=plain)
+    by_hand = measure_roughness(replace(told, stripe_corrected=(0.0,)), options=plain)
+    assert corrected.bandwidth["stripe_width"] == 0.25
+    assert unknown.bandwidth["stripe_width"] is None
+    sq = [found.areal["Sq"] for found in (unknown, corrected, by_hand)]
+    assert sq[1].value == pytest.approx(sq[0].value, rel=1e-9)
+    assert sq[2].value == pytest.approx(1.043 * sq[0].value, rel=0.01)
+    doubt = math.sqrt(sq[1].uncertainty ** 2 - sq[0].uncertainty ** 2) / sq[0].value
+    assert doubt == pytest.approx(0.043, rel=0.2)
+    assert any("the stripe" in note and "put back 100 %" in note for note in corrected.notes)
 
 
 def test_uncertainty_covers_blocks_of_gaps():
@@ -218,6 +237,7 @@ def test_uncertainty_covers_blocks_of_gaps():
             count += 1
             outside += abs(found.areal[key].value - truth[key]) > found.areal[key].uncertainty
         assert "one-sided" in found.areal["Sp"].note
+        assert [key for key, p in found.areal.items() if p.to_dict().get("bound") == "lower"] == ["Sp", "Sv", "Sz"]
     assert outside <= 0.06 * count
 
 
@@ -314,6 +334,29 @@ def test_command(scan_file):
     assert "http" not in page.replace("http://www.w3.org", "")
 
 
+def test_a_mesh_chooses_the_region_by_its_pose(scan_file):
+    pytest.importorskip("open3d")
+    trimesh = pytest.importorskip("trimesh")
+    folder = scan_file.parent
+    corners = [[-2.5, -3.0, 0.0], [2.5, -3.0, 0.0], [2.5, 3.0, 0.0], [-2.5, 3.0, 0.0]]
+    trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]]).export(folder / "face.stl")
+    pose = np.eye(4)
+    pose[:3, 3] = 5.0, 4.0, 400.0
+    (folder / "pose.json").write_text(json.dumps({"cloud_from_model": pose.tolist(), "score": 1.0}))
+    words = (scan_file, "--region", f"face=mesh:{folder / 'face.stl'}", "--json", "--quiet")
+    found = command(*words, "--pose", folder / "pose.json")
+    assert found.exit_code == 0, found.output
+    size = json.loads(found.stdout)["patches"][0]["bandwidth_mm"]
+    assert (size["patch_along"], size["patch_across"]) == pytest.approx(
+        (5.0, 6.0), abs=0.3
+    )  # and nothing beside its edges
+    assert command(*words).exit_code == 1  # at the origin there is nothing
+    (folder / "refused.json").write_text(json.dumps({"cloud_from_model": None}))
+    refused = command(*words, "--pose", folder / "refused.json")
+    assert refused.exit_code == 1
+    assert "no rigid 4x4" in refused.output
+
+
 def test_command_refuses(scan_file):
     for words, status, told in (
         (("--region", "disc:3"), 2, "disc:3"),
@@ -321,6 +364,11 @@ def test_command_refuses(scan_file):
         (("--region", "box:90,91,0,1"), 1, "the region is empty"),
         (("--csv", "/nowhere/t.csv"), 1, "does not exist"),
         (("--l-filter", "50"), 1, "longer than the patch"),
+        (("--s-filter", "2", "--l-filter", "1"), 2, "L-filter"),
+        (("--s-filter", "0"), 2, "S-filter"),
+        (("--pitch", "0.1"), 1, "a pitch of its own"),
+        (("--region", "a=box:0,5,0,8", "--region", "a=box:0,4,0,8"), 2, "called"),
+        (("--noise", scan_file), 1, "very same scan"),
     ):
         done = command(scan_file, *words)
         assert done.exit_code == status, (words, done.output)

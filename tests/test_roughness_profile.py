@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 
-from scope.roughness_extras import joint_roughness, mean_profile_depth
+from scope.roughness_extras import Joint, joint_roughness, mean_profile_depth
 from scope.roughness_profile import Profiles, elements, profile_parameters, roughness_profiles
 
 
@@ -53,7 +53,8 @@ def test_default_cutoff_is_the_standards_class(wave, cutoff):
 def test_short_profiles_take_what_fits():
     x = np.arange(300) * 0.1
     profiles = roughness_profiles(np.tile(np.sin(2 * np.pi * x / 3.0), (3, 1)), 0.1)
-    assert (profiles.cutoff, profiles.sections) == (2.5, 5)  # 8 mm five times does not fit 30 mm
+    assert (profiles.cutoff, profiles.sections) == (8.0, 3)  # 2.5 mm would take most of a wave of 3 mm
+    assert roughness_profiles(np.tile(np.sin(2 * np.pi * x[:120] / 3.0), (3, 1)), 0.1).cutoff == 2.5  # nor 8 mm in 12
     with pytest.raises(ValueError, match="does not fit"):
         roughness_profiles(np.zeros((3, 300)), 0.1, 31.0)
     with pytest.raises(ValueError, match="does not fit"):
@@ -91,18 +92,25 @@ def test_z2_and_joint_roughness():
     x = np.arange(2000) * 0.1
     slope = 0.2
     z = slope * np.abs((x % 20.0) - 10.0)[None, :]
-    found = joint_roughness(z, 0.1)
-    assert found.step == pytest.approx(0.5)
-    assert pytest.approx(slope, rel=0.02) == found.Z2
-    assert pytest.approx(61.79 * found.Z2 - 3.47) == found.JRC
-    assert "61.79" in found.formula
-    assert math.isnan(joint_roughness(5.0 * z, 0.1).JRC)
-    assert "outside 0 to 20" in joint_roughness(5.0 * z, 0.1).reason
-    assert "no formula for a step" in joint_roughness(z, 3.0).reason
+    z2, jrc = joint_roughness(z, 0.1)
+    assert z2.value == pytest.approx(slope, rel=0.02)
+    assert jrc.value == pytest.approx(61.79 * z2.value - 3.47)
+    joint = Joint.gather(z, 0.1)
+    assert joint.step == pytest.approx(0.5)
+    assert "61.79" in joint.formula
+    steep = joint_roughness(5.0 * z, 0.1)[1]
+    assert math.isnan(steep.value)
+    assert "outside 0 to 20" in steep.reason
+    assert "no formula for a step" in joint_roughness(z, 3.0)[1].reason
     noisy = z + 0.05 * np.random.default_rng(0).standard_normal((400, 2000))
-    assert 1.05 * slope < joint_roughness(noisy, 0.1).Z2
-    assert pytest.approx(slope, rel=0.02) == joint_roughness(noisy, 0.1, noise_variance=0.0025).Z2
-    assert math.isnan(joint_roughness(noisy, 0.1, noise_variance=0.05).JRC)
+    assert joint_roughness(noisy, 0.1)[0].value > 1.05 * slope
+    assert joint_roughness(noisy, 0.1, noise_variance=0.0025)[0].value == pytest.approx(slope, rel=0.02)
+    again = z + 0.05 * np.random.default_rng(1).standard_normal((400, 2000))
+    repeated = Joint.gather(noisy, 0.1, second=again, noise_variance=0.0025).of(np.ones(400, dtype=bool))[0]
+    assert repeated.value == pytest.approx(slope, rel=0.02)
+    for extra in joint_roughness(noisy, 0.1, noise_variance=0.05):
+        assert math.isnan(extra.value)
+        assert "of the squared slopes" in extra.reason
 
 
 def test_mean_profile_depth_needs_its_length():
@@ -110,3 +118,13 @@ def test_mean_profile_depth_needs_its_length():
     z = (0.8 * np.sin(2 * np.pi * x / 10.0) + 0.05 * x)[None, :]  # whole waves, tilted
     assert mean_profile_depth(z, 0.1) == pytest.approx(0.8, rel=0.05)  # the regression line tilts by a wave's share
     assert math.isnan(mean_profile_depth(z[:, :900], 0.1))
+    assert math.isnan(mean_profile_depth(z, 100.0))  # a base length of one sample has no two halves
+
+
+def test_a_few_lost_heights_end_no_element():
+    """A fifth missing at random left only short elements, of half the width."""
+    rng = np.random.default_rng(3)
+    z = gaussian_filter1d(rng.standard_normal(20_000), 6.0)
+    whole = elements(z, 0.01, 0.1 * np.ptp(z) / 3.0)
+    part = elements(np.where(rng.random(len(z)) < 0.2, np.nan, z), 0.01, 0.1 * np.ptp(z) / 3.0)
+    assert part == pytest.approx(whole, rel=0.05)

@@ -42,6 +42,12 @@ def test_the_plate_is_flat_and_where_it_stands(cloud: ScanCloud) -> None:
     assert np.sqrt((plane.distance(plate) ** 2).mean()) < 0.06
 
 
+def test_the_stripe_is_as_wide_as_it_falls_on_the_plate(cloud: ScanCloud) -> None:
+    """0.5 mm square to the sheet, which meets the plate's normal at atan(150 / 332): 0.55 mm down the plate."""
+    assert cloud.stripe_width == pytest.approx([0.5 * np.hypot(150.0, 332.0) / 332.0], rel=0.08)
+    assert 0.5 < cloud.stripe_corrected[0] <= 1.0
+
+
 def test_the_sphere_has_its_radius(cloud: ScanCloud) -> None:
     distance = np.linalg.norm(cloud.points - [-35.0, 0.0, 352.0], axis=1)
     ball = distance[(np.abs(distance - 20.0) < 0.5) & (cloud.points[:, 2] < 350.0)]
