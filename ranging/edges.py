@@ -40,8 +40,10 @@ class Refined:
     position: Array  # (n, L) px
     sigma: Array  # (n, L) mm along the ray
     reason: Codes  # (n, L)
-    footprint: Array  # (n, L) mm, one sigma of the stripe on the surface; NaN where unknown
-    corrected: Array  # (n, L) share (0 to 1) of what slope and curvature displaced that was taken off
+    footprint: float  # mm, one sigma of the stripe on the surface; NaN where unknown
+    corrected: (
+        float  # mean share (0 to 1) of what slope and curvature displaced that was taken off; NaN without a point
+    )
 
 
 def refine(lattice: Lattice, first: int, last: int, exposures: Sequence[Exposure | None] = ()) -> Refined:
@@ -97,10 +99,10 @@ def refine(lattice: Lattice, first: int, last: int, exposures: Sequence[Exposure
         points -= shift[..., None] * (moved - along[..., None] * view)
         sigma = np.hypot(sigma, left * np.abs(along))
     position -= shift
-    across = footprint(found, lattice.rows(first, last))
-    for values in (points, position, sigma, across, share):
+    for values in (points, position, sigma):
         values[~ranged] = np.nan
-    return Refined(points, position, sigma, reason, across, share)
+    across = footprint(found, lattice.rows(first, last), ranged)
+    return Refined(points, position, sigma, reason, across, float(share[ranged].mean()) if ranged.any() else np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,7 +26,7 @@ from functools import cache
 
 import numpy as np
 
-from calibration.geometry import Array, fit_plane
+from calibration.geometry import Array, Bools, fit_plane
 from ranging import surface
 from ranging.course import follow
 from ranging.kernels import compiled
@@ -220,22 +220,25 @@ def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> B
     return Beam(float(np.sqrt(square / usual)), float(np.clip(found[1] / square, -1.0, 3.0)), middle, blur)
 
 
-def footprint(found: Slopes, asked: Lattice) -> Array:
-    """One sigma of the stripe on the surface (n, L), mm, in the direction in which its pixels cross it.
+def footprint(found: Slopes, asked: Lattice, ranged: Bools) -> float:
+    """One sigma of the stripe on the surface, mm, in the direction in which its pixels cross it: median of ``ranged`` (n, L).
 
-    The measured width without the lens's blur, in pixels, times how far a pixel moves on the surface. NaN where the surface
-    is not known; where next to none of it is, as on a rough part alone, the plane through all points stands for it.
+    The measured width without the lens's blur, in pixels, times how far a pixel moves on the surface. Where the surface is
+    next to nowhere known, as on a rough part alone, the plane through all points stands for it. NaN where nothing tells.
     ``asked`` holds the frames of ``found`` alone.
     """
     normal = found.table[..., surface.NORMAL : surface.NORMAL + 3]
-    seen = np.isfinite(asked.sigma)
-    if found.moves and np.count_nonzero(np.isfinite(normal[..., 0])) < 0.05 * np.count_nonzero(seen):
-        plane = fit_plane(asked.points[seen])
-        normal = np.broadcast_to(plane.normal, normal.shape)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        rise = np.einsum("fli,fli->fl", normal, asked.moved) / np.einsum("fli,fli->fl", normal, asked.view)
-        stride = np.linalg.norm(asked.moved - rise[..., None] * asked.view, axis=2)
-        return np.asarray(np.sqrt(np.maximum(asked.width**2 - found.beam.blur, 0.0)) * stride)
+    seen = ranged & np.isfinite(asked.sigma)
+    if found.moves and np.count_nonzero(seen) >= 50 and np.isfinite(normal[seen][:, 0]).mean() < 0.05:
+        normal = np.broadcast_to(fit_plane(asked.points[seen]).normal, normal.shape)
+    seen &= np.isfinite(normal[..., 0])
+    f, i = (place[::SAMPLE] for place in np.nonzero(seen))
+    if len(f) == 0:
+        return float("nan")
+    n, moved, view = normal[f, i], asked.moved[f, i], asked.view[f, i]
+    rise = np.einsum("ni,ni->n", n, moved) / np.einsum("ni,ni->n", n, view)
+    stride = np.linalg.norm(moved - rise[:, None] * view, axis=1)
+    return float(np.median(np.sqrt(np.maximum(asked.width[f, i] ** 2 - found.beam.blur, 0.0)) * stride))
 
 
 @compiled

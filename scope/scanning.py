@@ -344,7 +344,8 @@ class Plan:
             frame=np.broadcast_to(numbers[:, None], reason.shape)[keep],
             laser=np.full(int(keep.sum()), k, dtype=np.uint8),
         )
-        return cloud, counts, _footprint(found.footprint[keep], found.corrected[keep])
+        known = np.isfinite(found.footprint)
+        return cloud, counts, Footprint(found.footprint, found.corrected, len(cloud)) if known else None
 
     def refuse_nothing(self, tally: Tally) -> None:
         """``RangingError`` where no frame gave a point."""
@@ -426,14 +427,6 @@ def joined(parts: list[ScanCloud]) -> ScanCloud:
     if len(parts) == 1 or np.all(np.diff(whole.frame.astype(np.int64) * 256 + whole.laser) >= 0):
         return whole
     return whole.select(np.lexsort((whole.laser, whole.frame)))
-
-
-def _footprint(width: Array, corrected: Array) -> Footprint | None:
-    """Of the points (N,) whose width (mm) is known; None where there is none."""
-    known = np.isfinite(width)
-    if not known.any():
-        return None
-    return Footprint(float(np.median(width[known])), float(np.nanmean(corrected)), int(known.sum()))
 
 
 def _lasers(capture: Capture, rig: Rig) -> tuple[Laser, ...]:
