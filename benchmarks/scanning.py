@@ -1,7 +1,7 @@
 """Scanning: time over decoding alone, memory, first point: ``python -m benchmarks.scanning [time] [memory] [first]``.
 
-A simulated rig of 1280 x 960 px gives a few frames, which stand for a capture of hundreds (the files are links to them, so
-that rendering does not take hours). Time is that of `run_scan`, in process and warm, over decoding the same files with
+A simulated rig of 1280 x 960 px gives a few frames, which stand for a capture of hundreds: the stage goes to and fro over
+them, and the files are links, so that rendering does not take hours. Time is that of `run_scan`, in process and warm, over decoding the same files with
 OpenCV on the same number of threads, alternating, least of several rounds. Memory is the peak resident size of a process
 that scans into a file. The first point is timed from the start of the command to the first points on disk.
 """
@@ -25,7 +25,8 @@ from scope.rig_design import CameraDesign, JigDesign, LaserDesign, MotionDesign,
 from scope.scanning import run_scan
 from scope.simulation import simulate
 
-RENDERED = 8
+RENDERED = 32
+STEP = 0.4  # mm
 DESIGN = RigDesign(
     CameraDesign((1280, 960), 1400.0, (655.0, 470.0), distortion=(-0.18, 0.05, 0.0004, -0.0003, 0.0)),
     LaserDesign((0.0, -190.0, 10.0), (0.0, 0.0, 400.0), roll=1.5, width=0.35),
@@ -34,7 +35,7 @@ DESIGN = RigDesign(
         laser_images=1,
     ),
     objects=(PlaneDesign(origin=(0.0, 0.0, 430.0)), SphereDesign(radius=30.0, origin=(0.0, 0.0, 420.0))),
-    motion=MotionDesign("linear", frames=RENDERED, direction=(0.0, 1.0, 0.0), step=5.0, start=-20.0),
+    motion=MotionDesign("linear", frames=RENDERED, direction=(0.0, 1.0, 0.0), step=STEP, start=-6.0),
 )  # fmt: skip
 
 _PEAK = """
@@ -59,10 +60,14 @@ def capture_of(folder: Path, count: int) -> Path:
     made = sorted((folder / "session" / "frames").glob("*.png"))
     place = folder / f"capture-{count}"
     (place / "frames").mkdir(parents=True)
-    for k in range(count):
-        os.link(made[k % len(made)], place / "frames" / f"{k:05d}.png")
+    lap = [*range(len(made)), *range(len(made) - 2, 0, -1)]  # to and fro
+    shown = [lap[k % len(lap)] for k in range(count)]
+    for k, frame in enumerate(shown):
+        os.link(made[frame], place / "frames" / f"{k:05d}.png")
+    rows = "".join(f"{k},{STEP * frame}\n" for k, frame in enumerate(shown))
+    (place / "stage.csv").write_text("frame,position\n" + rows)
     (place / "capture.toml").write_text(
-        'format = 1\nimages = "frames/*.png"\n[motion]\nkind = "linear"\ndirection = [0, 1, 0]\nstep = 0.1\n'
+        'format = 1\nimages = "frames/*.png"\n[motion]\nkind = "linear"\ndirection = [0, 1, 0]\npositions = "stage.csv"\n'
     )
     return place / "capture.toml"
 
