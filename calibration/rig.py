@@ -53,6 +53,7 @@ class Rig:
     verification: Verification
     accept: Mapping[str, float] = field(default_factory=dict)  # limits of [accept]
     camera_id: str = ""
+    blur_px: float = float("nan")  # one sigma of lens and pixel, as the edges of spots show it; NaN without spots
     written: str = ""  # date and time, ISO 8601
     software: str = ""
     inputs: Mapping[str, str] = field(default_factory=dict)  # file name: SHA-256
@@ -111,6 +112,7 @@ def _content(rig: Rig) -> dict[str, Any]:
             "written": rig.written,
             "software": rig.software,
             "camera_id": rig.camera_id,
+            "blur_px": rig.blur_px,
             "camera": _camera_content(rig.camera),
             "lasers": {name: _laser_content(laser) for name, laser in rig.lasers.items()},
             "stages": [_fields(stage) for stage in rig.stages],
@@ -213,6 +215,13 @@ def _number(content: Any) -> float:
     return float("nan") if content is None else float(content)
 
 
+def _blur(content: Any) -> float:
+    value = _number(content)
+    if value == value and not 0.1 < value < 50.0:
+        raise ValueError(f"a blur of {value} px")
+    return value
+
+
 def _each(content: Any, read: Callable[[Any], T]) -> tuple[T, ...]:
     return tuple(read(item) for item in content)
 
@@ -229,6 +238,7 @@ def _rig(content: dict[str, Any], digest: str) -> Rig:
         ),
         accept={str(key): float(value) for key, value in content["accept"].items()},
         camera_id=str(content["camera_id"]),
+        blur_px=_blur(content.get("blur_px")),  # rigs of earlier versions have none
         written=str(content["written"]),
         software=str(content["software"]),
         inputs={str(key): str(value) for key, value in content["inputs"].items()},

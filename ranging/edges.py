@@ -9,6 +9,7 @@ stay as they are.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -46,7 +47,14 @@ class Refined:
     )
 
 
-def refine(lattice: Lattice, first: int, last: int, exposures: Sequence[Exposure | None] = ()) -> Refined:
+def refine(
+    lattice: Lattice,
+    first: int,
+    last: int,
+    exposures: Sequence[Exposure | None] = (),
+    *,
+    blur_px: float = math.nan,
+) -> Refined:
     """Correct and judge frames ``first`` to ``last`` - 1 of a lattice.
 
     Parameters
@@ -58,6 +66,8 @@ def refine(lattice: Lattice, first: int, last: int, exposures: Sequence[Exposure
         Rows of the lattice.
     exposures : sequence of Exposure, optional
         Of each frame of the lattice, as for `follow_points`; without them points are judged by their neighbours alone.
+    blur_px : float
+        One sigma of lens and pixel; NaN where the calibration does not tell.
 
     Returns
     -------
@@ -69,7 +79,7 @@ def refine(lattice: Lattice, first: int, last: int, exposures: Sequence[Exposure
         frames or ``LINES`` lines. In a capture without motion, and of a single frame, nothing is corrected or rejected.
     """
     rows = slice(first, last)
-    found = slopes(lattice, first, last)
+    found = slopes(lattice, first, last, blur_px=blur_px)
     reason = lattice.reason[rows].copy()
     points, position, sigma = lattice.points[rows].copy(), lattice.position[rows].copy(), lattice.sigma[rows].copy()
     view, sheet, moved = lattice.view[rows], lattice.sheet[rows], lattice.moved[rows]

@@ -39,6 +39,7 @@ DOUBT = 0.15  # of a correction, for what is not known: the surface need not be 
 MOST = 2, 6  # frames and lines, at most, from one point of a patch to the next
 GROWTH = 1.0, 1.0  # see `estimate_beam`; how far that may be wrong
 TELLING = 500.0  # a tenth of the variance, five times told: how much the widths of stripes are trusted
+BLUR_KNOWN = 0.15  # of the variance that spots show: how far the stripe's may differ
 SAMPLE = 4  # lines, of which one tells the beam
 BLUR = 0.36, 0.25  # px^2: a lens of half a pixel and the pixel's own 1/12; how far that may be wrong
 
@@ -88,7 +89,7 @@ class Slopes:
         return share * full + beside, np.hypot(left, share * noise), share
 
 
-def slopes(lattice: Lattice, first: int, last: int) -> Slopes:
+def slopes(lattice: Lattice, first: int, last: int, *, blur_px: float = math.nan) -> Slopes:
     """Displacement of the stripe in frames ``first`` to ``last`` - 1 of a lattice.
 
     Parameters
@@ -97,6 +98,8 @@ def slopes(lattice: Lattice, first: int, last: int) -> Slopes:
         With up to `CONTEXT` frames before and after those asked for.
     first, last : int
         Rows of the lattice.
+    blur_px : float
+        One sigma of lens and pixel, where the calibration has seen it; NaN: what lenses usually have.
 
     Returns
     -------
@@ -110,7 +113,10 @@ def slopes(lattice: Lattice, first: int, last: int) -> Slopes:
     course = follow(asked.position, asked.peak * asked.width)
     distance = np.linalg.norm(asked.points - asked.camera[:, None, :], axis=2)
     some = slice(None, None, SAMPLE)
-    beam = estimate_beam(table[:, some], asked.width[:, some], course[:, some, 0], distance[:, some])
+    known = blur_px**2, BLUR_KNOWN * blur_px**2
+    beam = estimate_beam(
+        table[:, some], asked.width[:, some], course[:, some, 0], distance[:, some], known if blur_px > 0.0 else BLUR
+    )
     sheet = beam.width_at(distance)
     profile, passage, beside, noise = displacement(table, course, sheet, beam.blur, asked)
     return Slopes(moves, table, beam, sheet, profile, passage, beside, noise, asked.sigma_px**2)
@@ -176,7 +182,7 @@ def _displace(
             noise[f, i] = s0**2 * row[surface.NOISE]
 
 
-def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> Beam:
+def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array, blur: tuple[float, float] = BLUR) -> Beam:
     """Width of the sheet and blur of the lens, from stripes on surfaces of different slopes.
 
     The stripe's variance is w^2 / a^2 + c^2 (1 + v'^2), with w^2 = w0^2 (1 + growth x), x being the distance over its
@@ -191,13 +197,15 @@ def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> B
         px, of the stripe; px/line, of its course.
     distance : (F, L) array, mm
         From the camera.
+    blur : (value, sigma), px^2
+        What is known of the variance of lens and pixel.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         x, t, y = table[..., surface.LEAVING] ** -2, 1.0 + tilt**2, width**2
         good = (table[..., surface.MISFIT] < surface.SMOOTH) & (table[..., surface.OWN] == 1.0)
         good &= np.isfinite(x + t + y) & (t < 5.0)
     if np.count_nonzero(good) < 50:
-        return Beam(0.0, 0.0, 1.0, BLUR[0])
+        return Beam(0.0, 0.0, 1.0, blur[0])
     x, t, y, d = x[good], t[good], y[good], distance[good]
     usual, middle = float(np.median(x)), float(np.median(d))
     near = x < 9.0 * usual
@@ -205,9 +213,9 @@ def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> B
     cell = np.digitize(np.log2(x), np.linspace(-3.0, 3.0, 13)) * 64 + np.digitize(z, np.linspace(-0.3, 0.3, 31))
     balance = 1.0 / np.bincount(cell)[cell]
     terms = np.stack([x, x * z, t], axis=1) / y[:, None]
-    start = max(float(np.median((y - BLUR[0] * t) / x)), 0.01)
-    prior = np.array([start, start * GROWTH[0], BLUR[0]])
-    tight = np.array([0.0, 1.0 / (start * GROWTH[1]) ** 2, 1.0 / BLUR[1] ** 2])
+    start = max(float(np.median((y - blur[0] * t) / x)), 0.01)
+    prior = np.array([start, start * GROWTH[0], blur[0]])
+    tight = np.array([0.0, 1.0 / (start * GROWTH[1]) ** 2, 1.0 / blur[1] ** 2])
     weight, found = balance, prior
     for _ in range(6):
         scaled = terms * (weight * (TELLING / np.sum(weight)))[:, None]
@@ -216,8 +224,8 @@ def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array) -> B
         scale = 4.0 * max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
         weight = balance * np.maximum(1.0 - (residual / scale) ** 2, 0.0) ** 2
     square = max(float(found[0]), 1e-6)
-    blur = float(np.clip(found[2], 1.0 / 12.0, None))
-    return Beam(float(np.sqrt(square / usual)), float(np.clip(found[1] / square, -1.0, 3.0)), middle, blur)
+    variance = float(np.clip(found[2], 1.0 / 12.0, None))
+    return Beam(float(np.sqrt(square / usual)), float(np.clip(found[1] / square, -1.0, 3.0)), middle, variance)
 
 
 def footprint(found: Slopes, asked: Lattice, ranged: Bools) -> float:

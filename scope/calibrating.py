@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from calibration.errors import CalibrationError, FileError
 from calibration.laser import Laser
 from calibration.pinhole import FreehandFit, fit_freehand
@@ -152,6 +154,7 @@ def _calibration(
     stages: tuple[Stage, ...], verdict: Verdict, two_plane: TwoPlaneFit | None, freehand: FreehandFit | None,
 ) -> Calibration:  # fmt: skip
     folder = plan.path.parent.resolve()
+    blur = [s.blur_px for s in seen if np.isfinite(s.blur_px)]
     rig = Rig(
         camera=camera,
         lasers=lasers,
@@ -159,6 +162,7 @@ def _calibration(
         verification=verdict.verification,
         accept=plan.accept,
         camera_id=plan.camera_id,
+        blur_px=float(np.median(blur)) if blur else float("nan"),
         written=datetime.now(UTC).isoformat(timespec="seconds"),
         software=f"scope {__version__}",
         inputs={_relative(path, folder): sha256_of(path) for path in plan.files},

@@ -321,7 +321,7 @@ class Plan:
     ) -> tuple[ScanCloud, Counter[str], Footprint | None]:
         lattice = Lattice.of([sight.seen[k] for sight in sights])
         exposures = [] if isinstance(self.motion, Fixed) else [sight.exposures.get(k) for sight in sights]
-        found = refine(lattice, first, last, exposures)
+        found = refine(lattice, first, last, exposures, blur_px=self.rig.blur_px)
         reason = found.reason
         if self.options.max_sigma is not None:
             reason[(reason == Reason.RANGED) & ~(found.sigma <= self.options.max_sigma)] = Reason.UNCERTAIN

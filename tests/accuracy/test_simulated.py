@@ -33,6 +33,10 @@ def test_the_calibration_passes(session) -> None:
     assert max(p["heldout_mm"] for p in rig.verification.planes) < 0.006
 
 
+def test_the_rig_knows_the_blur_of_lens_and_pixel(session) -> None:
+    assert Rig.load(session.rig).blur_px == pytest.approx(np.hypot(0.6, np.sqrt(1.0 / 12.0)), rel=0.05)
+
+
 def test_the_plate_is_flat_and_where_it_stands(cloud: ScanCloud) -> None:
     plate = cloud.points[np.abs(cloud.points[:, 2] - 372.0) < 0.5]
     assert len(plate) > 2000
