@@ -129,6 +129,27 @@ def test_shot_noise_is_not_taken_for_speckle_and_the_noise_is_learnt():
     assert rms(stripe.position - position) < 1.05 * bound(1.4, 120.0)
 
 
+def test_dark_lines_and_edges_tell_nothing_about_noise_and_speckle():
+    rng = np.random.default_rng(18)
+    position = 150.0 + 0.02 * np.arange(480)
+    light = profile(position, 1.2, 150.0, 300)
+    light[:150] = light[330:] = 0.0
+    light[150] *= 0.3  # the ends of the object cover a part of a line
+    light[329] *= 0.4
+    light[240] = 0.5 * (light[240] + np.roll(light[240], 4))
+    light[241:, 4:] = light[241:, :-4].copy()  # a step
+    stripe = extract(camera(light, rng), along="columns")
+    lit = np.arange(160, 235)
+    assert stripe.speckle == 0.0
+    assert stripe.noise is not None
+    assert 0.6 * GAIN < stripe.noise.gain_e < 1.7 * GAIN  # of 180 lines only
+    assert 0.9 * READ < stripe.noise.read_noise < 1.15 * READ
+    assert rms(stripe.position[lit] - position[lit]) < 1.2 * bound(1.2, 150.0)
+    assert 0.75 < rms((stripe.position - position)[lit] / stripe.sigma[lit]) < 1.3
+    dark = np.r_[np.arange(149), np.arange(331, 480)]
+    assert np.mean(stripe.reason[dark] == Reason.NO_LIGHT) > 0.99
+
+
 def test_the_noise_of_a_camera_is_known_from_a_few_frames():
     rng = np.random.default_rng(17)
     noise = estimate_noise([tilted(500, 0.2, 1.4, 150.0, rng)[1] for _ in range(4)], along="columns")
