@@ -96,7 +96,7 @@ def run_scan(
     on_frame : callable
         Called with (done, total) after each frame; total is 0 where nobody knows it.
     done : list of Chunk, optional
-        Chunks of an interrupted scan: ranging goes on after their last frame.
+        Chunks of an interrupted scan, those that were ``settled``: ranging goes on after their last frame.
     on_chunk : callable, optional
         Called with each new chunk, so that what was found can be kept.
 
@@ -234,7 +234,7 @@ class Plan:
         window = window + self._see(fresh)
         while begun < at + len(window):
             end = min(begun + (CHUNK if begun else FIRST), at + len(window))
-            yield self._chunk(window, at, begun, end)
+            yield replace(self._chunk(window, at, begun, end), settled=False)
             begun = end
         if stopped:
             raise KeyboardInterrupt

@@ -24,6 +24,7 @@ class Chunk:
     cloud: ScanCloud  # without sensors
     rejected: Counter[str]
     empty: int  # frames without a single point
+    settled: bool = True  # False: frames that follow would have a say in it, and did not come
 
 
 @dataclass(slots=True, eq=False)

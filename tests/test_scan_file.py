@@ -73,6 +73,22 @@ def test_a_part_that_is_cut_anywhere_goes_on(session, long_capture: Path, tmp_pa
         assert (tmp_path / "cloud.ply").read_bytes() == whole.read_bytes()
 
 
+@pytest.mark.parametrize("stop", [2, 30])
+def test_a_scan_that_the_user_ended_goes_on_to_the_same_cloud(session, long_capture: Path, tmp_path: Path, stop: int) -> None:
+    scan_to_file(long_capture, session.rig, tmp_path / "whole.ply", ScanOptions())
+
+    def tick(done: int, _total: int) -> None:
+        if done == stop:
+            raise KeyboardInterrupt
+
+    found = scan_to_file(long_capture, session.rig, tmp_path / "cloud.ply", ScanOptions(), on_frame=tick)
+    assert found.frames == stop
+    assert f"after {stop} frames" in found.why_incomplete
+    assert not ScanCloud.load(tmp_path / "cloud.ply").complete
+    assert scan_to_file(long_capture, session.rig, tmp_path / "cloud.ply", ScanOptions(), resume=True).frames == 48
+    assert (tmp_path / "cloud.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+
+
 def test_a_typing_error_does_not_cost_the_part(session, tmp_path: Path) -> None:
     (tmp_path / "cloud.ply.part").write_bytes(b"what an hour of scanning gave")
     with pytest.raises(ScopeError):
