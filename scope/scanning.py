@@ -193,7 +193,19 @@ class Plan:
         centre = centre_of(rig.camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)))
         # where the object moves, frames are compared with each other: a better judge than a frame's own lines
         stripe = replace(options.stripe, neighbours=options.stripe.neighbours and not isinstance(motion, Linear))
-        plan = cls(capture, rig, options, lasers, channels, darks, stripe, motion, source, centre, sample[0] if sample else None)
+        plan = cls(
+            capture,
+            rig,
+            options,
+            lasers,
+            channels,
+            darks,
+            stripe,
+            motion,
+            source,
+            centre,
+            sample[0] if sample else None,
+        )
         return replace(plan, stripe=plan._with_noise(frames))
 
     def _with_noise(self, frames: list[Frame]) -> StripeOptions:

@@ -74,7 +74,9 @@ def test_a_part_that_is_cut_anywhere_goes_on(session, long_capture: Path, tmp_pa
 
 
 @pytest.mark.parametrize("stop", [2, 30])
-def test_a_scan_that_the_user_ended_goes_on_to_the_same_cloud(session, long_capture: Path, tmp_path: Path, stop: int) -> None:
+def test_a_scan_that_the_user_ended_goes_on_to_the_same_cloud(
+    session, long_capture: Path, tmp_path: Path, stop: int
+) -> None:
     scan_to_file(long_capture, session.rig, tmp_path / "whole.ply", ScanOptions())
 
     def tick(done: int, _total: int) -> None:
@@ -161,7 +163,9 @@ def test_a_camera(
     assert ("7 of 12" in found.why_incomplete) != complete
 
 
-def test_frames_in_colour_are_read_in_the_colour_of_the_line_though_the_rig_knows_none(session, copy_of_session) -> None:
+def test_frames_in_colour_are_read_in_the_colour_of_the_line_though_the_rig_knows_none(
+    session, copy_of_session
+) -> None:
     copy = copy_of_session()
     shade = np.repeat(np.repeat(np.random.default_rng(0).integers(20, 120, (12, 16, 1)), 40, axis=0), 40, axis=1)
     for path in copy.folder.glob("frames/*.png"):
