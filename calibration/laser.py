@@ -58,6 +58,11 @@ class Laser:
         """The sheet's plane (the base plane of a curved one)."""
         return self.sheet.plane if isinstance(self.sheet, CurvedSheet) else _flat(self.sheet)
 
+    def lift(self, points: Array) -> Array:
+        """Movement (N, P) mm of the sheet along its normal at points (N, 3), a unit of each parameter of ``covariance``."""
+        terms = self.frame.terms(points, order=order_of(len(self.covariance)))
+        return np.asarray(terms * (self.sheet.normal_at(points) @ self.plane.normal)[:, None])
+
     def sigma_at(self, points: Array) -> Array:
         """Standard deviation (N,) mm of the sheet along its normal at points (N, 3), from the calibration."""
         terms = self.frame.terms(points, order=order_of(len(self.covariance)))
