@@ -70,7 +70,7 @@ class TwoPlaneCamera:
 
         The joint field stands for the plane maps, too: both were fitted to the same marks.
         """
-        return np.kron(np.eye(2), self.field.sigma**2 * self.field.inverse)
+        return np.asarray(np.kron(np.eye(2), self.field.sigma**2 * self.field.inverse), dtype=np.float64)
 
     def jacobian(self, pixels: Array, points: Array) -> Array:
         """Movement (N, 3, P) mm, across depth, of the rays of pixels at points (N, 3), a unit of each coefficient."""
