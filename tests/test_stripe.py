@@ -255,6 +255,17 @@ def test_ridge_of_a_straight_stripe_is_quieter_than_one_line():
     assert rms(ridge.position - position) < 0.8 * bound(1.5 * math.hypot(1, 0.3), 60.0)
 
 
+@pytest.mark.parametrize("method", ["gaussian", "ridge"])
+def test_no_phase_is_favoured_where_the_stripe_keeps_it(method):
+    rng = np.random.default_rng(19)
+    for phase in (-0.5, -0.25, 0.1, 0.4):
+        image = camera(profile(np.full(300, LENGTH / 2 + phase), 1.2, 150.0, LENGTH), rng)
+        options = StripeOptions(method=method, gain_e=GAIN, read_noise=READ, neighbours=False)
+        error = extract(image, along="columns", options=options).position - LENGTH / 2 - phase
+        assert abs(np.nanmean(error)) < 0.004
+        assert rms(error) < 1.05 * bound(1.2, 150.0)
+
+
 def test_threads_give_what_one_gives():
     rng = np.random.default_rng(15)
     images = [tilted(300, 0.2, 1.4, 120.0, rng)[1] for _ in range(8)]
