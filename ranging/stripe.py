@@ -242,7 +242,7 @@ def _stripe(
     options: StripeOptions,
 ) -> Stripe:  # fmt: skip
     """Judge the lines of a table and hand over its answers."""
-    from ranging.stripe_judge import compare, darken, judge, stretches
+    from ranging.stripe_judge import compare, darken, judge, part_mixed, stretches
 
     reason = np.empty(table.shape[1], np.uint8)
     threshold = _threshold(options, noise)
@@ -251,6 +251,7 @@ def _stripe(
         options.two_peaks, options.edge, reason,
     )  # fmt: skip
     darken(view.pixels, view.dark, view.layout, peaks, threshold, reason)
+    part_mixed(table, reason)
     if options.neighbours:
         begin, end = np.empty((2, table.shape[1]), np.int32)
         count = stretches(table, reason, begin, end)

@@ -42,6 +42,8 @@ JUMP = 1.25  # px, step between lines, unlike the steps before and after, at whi
 GAP = 3  # lines that may be missing within a stretch
 BLOCK = 31  # lines over which the usual width is the median
 COMB = 4  # px
+ASIDE = 6  # lines
+MIXED = 1.25  # times the width of most lines near by, beyond which a line sees two surfaces
 PULL = 1.2  # shift of a cut Gaussian over its loss of width: 1.0 for a cut at 2 sigma, 1.4 at 1 sigma
 LEAN = 2.0  # shift of the maximum likelihood position over sigma times asymmetry, in round numbers
 
@@ -116,6 +118,38 @@ def darken(
                 some[k] = max(some[k] - np.float64(dark[at]), 0.0)
         if peaks[1, i] - np.median(some) < threshold:
             reason[i] = NO_LIGHT
+
+
+@compiled
+def part_mixed(table: Array, reason: Codes) -> None:
+    """Give the reason EDGE to lines that see two surfaces: far wider than those a few lines before, and those behind.
+
+    At an edge along the stripe's normal a line has some light of both surfaces. Where their stripes merge, the profile is
+    symmetric, and lies at neither. Neighbours 2 to `ASIDE` lines away are asked, since the next one may be mixed, too; a
+    line as wide as most of them, to one side at least, is where the surface is steep.
+    """
+    count = table.shape[1]
+    for i in range(count):
+        if reason[i] != RANGED:
+            continue
+        least = (table[WIDTH, i] - SIGNIFICANT * table[SIGMA, i]) / MIXED
+        alike, known = False, 0
+        for way in (-1, 1):
+            here, wide = 0, 0
+            for d in range(2, ASIDE + 1):
+                j = i + way * d
+                if 0 <= j < count and table[WIDTH, j] > 0.0:
+                    here += 1
+                    wide += 1 if table[WIDTH, j] >= least else 0
+            alike = alike or (here > 0 and 2 * wide >= here)
+            known = max(known, here)
+        if known >= 3 and not alike:
+            reason[i] = EDGE
+    for i in range(count):
+        if reason[i] == EDGE:
+            for row in range(ROWS):
+                if row != STATE:
+                    table[row, i] = np.nan
 
 
 @compiled

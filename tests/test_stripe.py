@@ -206,6 +206,23 @@ def test_a_stripe_cut_by_an_oblique_edge_is_left_out_or_doubted(lines_a_pixel):
     assert np.mean(np.isfinite(error[5:180])) > 0.99
 
 
+@pytest.mark.parametrize("step", [2.6, 3.2, 4.0])
+@pytest.mark.parametrize("neighbours", [True, False])
+def test_a_line_that_sees_two_surfaces_is_an_edge(step, neighbours):
+    rng = np.random.default_rng(20)
+    position = np.where(np.arange(200) < 100, 20.3, 20.3 + step)
+    light = profile(position, 1.2, 150.0, LENGTH)
+    light[100] = 0.5 * (light[99] + light[101])
+    light[:30] = profile(np.full(30, 15.0), 2.2, 90.0, LENGTH)  # a steeper surface is wider, and no edge but at its end
+    options = StripeOptions(gain_e=GAIN, read_noise=READ, speckle="off", neighbours=neighbours)
+    stripe = extract(camera(light, rng), along="columns", options=options)
+    assert stripe.reason[100] == Reason.EDGE
+    assert np.mean(stripe.reason[2:28] == Reason.RANGED) > 0.95
+    assert np.mean(stripe.reason[34:96] == Reason.RANGED) > 0.95
+    error = (stripe.position - position)[34:]
+    assert np.nanmax(np.abs(error)) < 5 * bound(1.2, 150.0)
+
+
 def test_the_peak_that_is_asked_for_is_taken():
     rng = np.random.default_rng(11)
     rows, length = 300, 200
