@@ -128,11 +128,13 @@ def part_mixed(table: Array, reason: Codes) -> None:
     symmetric, and lies at neither. Neighbours 2 to `ASIDE` lines away are asked, since the next one may be mixed, too; a
     line as wide as most of them, to one side at least, is where the surface is steep.
     """
-    count = table.shape[1]
+    count, found = table.shape[1], False
     for i in range(count):
         if reason[i] != RANGED:
             continue
         least = (table[WIDTH, i] - SIGNIFICANT * table[SIGMA, i]) / MIXED
+        if 2 <= i < count - 2 and table[WIDTH, i - 2] >= least and table[WIDTH, i + 2] >= least:
+            continue  # nearly all lines
         alike, known = False, 0
         for way in (-1, 1):
             here, wide = 0, 0
@@ -144,8 +146,8 @@ def part_mixed(table: Array, reason: Codes) -> None:
             alike = alike or (here > 0 and 2 * wide >= here)
             known = max(known, here)
         if known >= 3 and not alike:
-            reason[i] = EDGE
-    for i in range(count):
+            reason[i], found = EDGE, True
+    for i in range(count if found else 0):
         if reason[i] == EDGE:
             for row in range(ROWS):
                 if row != STATE:
