@@ -40,6 +40,15 @@ class Camera(Protocol):
         """Standard deviation (N,) mm of the rays across their direction at points (N, 3), from the calibration."""
         ...
 
+    @property
+    def covariance(self) -> Array:
+        """Covariance (P, P) of the parameters."""
+        ...
+
+    def jacobian(self, pixels: Array, points: Array) -> Array:
+        """Movement (N, 3, P) mm of the rays of pixels at points (N, 3) on them, a unit of each parameter."""
+        ...
+
 
 def centre_of(rays: Rays) -> Array:
     """Point (3,) mm nearest to all rays in the least squares sense; rows of NaN do not count.

@@ -8,10 +8,12 @@ import numpy as np
 
 from calibration.errors import CalibrationError
 from calibration.geometry import Array, Bools, Plane, fit_plane
-from calibration.sheet import CurvedSheet, Sheet, SheetFrame
+from calibration.sheet import CurvedSheet, Sheet, SheetFrame, order_of
 
 TUKEY = 4.685  # tuning constant, 95 % efficiency for Gaussian noise (Holland & Welsch 1977)
 _MAD = 1.4826
+_ORDERS = {2: 4, 3: 5, 4: 5}  # planes that the order of a curved sheet needs, so that one can be left out
+_LAGS = range(2, 6)  # points along a stripe, over which noise is independent and shape is not
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +42,7 @@ class Laser:
     name: str
     sheet: Sheet
     frame: SheetFrame
-    covariance: Array  # (3, 3) or (6, 6) mm^2, of the parameters in `frame`
+    covariance: Array  # (3, 3), or larger for a curved sheet, mm^2, of the parameters in `frame`
     origin: Array  # (3,) mm in C, NaN where not told
     along: str  # "rows" or "columns", as found at calibration
     channel: str
@@ -56,9 +58,14 @@ class Laser:
         """The sheet's plane (the base plane of a curved one)."""
         return self.sheet.plane if isinstance(self.sheet, CurvedSheet) else _flat(self.sheet)
 
+    def lift(self, points: Array) -> Array:
+        """Movement (N, P) mm of the sheet along its normal at points (N, 3), a unit of each parameter of ``covariance``."""
+        terms = self.frame.terms(points, order=order_of(len(self.covariance)))
+        return np.asarray(terms * (self.sheet.normal_at(points) @ self.plane.normal)[:, None])
+
     def sigma_at(self, points: Array) -> Array:
         """Standard deviation (N,) mm of the sheet along its normal at points (N, 3), from the calibration."""
-        terms = self.frame.terms(points, curved=len(self.covariance) == 6)
+        terms = self.frame.terms(points, order=order_of(len(self.covariance)))
         return np.asarray(np.sqrt(np.maximum(((terms @ self.covariance) * terms).sum(axis=1), 0)))
 
 
@@ -90,8 +97,15 @@ def fit_laser(
     origin : (3,) array, optional
         About where the light comes from, mm in C.
     curved : bool, optional
-        Whether the sheet is quadratic. Without it, it is where four planes or more show a quadratic part of more than
-        five standard errors that also takes 30 % off the leave-one-plane-out variance.
+        Whether the sheet is curved. Without it, it is where four planes or more show a quadratic part of more than
+        five standard errors that also takes 30 % off the leave-one-plane-out variance. With five planes, a third and
+        a fourth order may follow, where each takes another 30 % off: thick tilted glass bends a sheet so.
+
+    Returns
+    -------
+    Laser
+        What the shape of the sheet leaves unexplained along the stripes, beyond the noise of the points, is part of the
+        covariance: it enters as an uncertainty of the offset.
 
     Raises
     ------
@@ -104,12 +118,14 @@ def fit_laser(
             f"laser {name}: a stripe was found on {len(seen)} plane(s); two or more are needed: check the laser images, "
             "their background and `channel`"
         )
-    flat = _Fit.of(name, seen, curved=False)
-    best = flat
-    quadratic = _Fit.of(name, seen, curved=True) if len(seen) >= 3 else None
-    if quadratic is not None and (curved or (curved is None and _is_curved(seen, flat, quadratic))):
+    best = _Fit.of(name, seen, order=1)
+    quadratic = _Fit.of(name, seen, order=2) if len(seen) >= 3 else None
+    if quadratic is not None and (curved or (curved is None and _is_curved(seen, quadratic))):
         best = quadratic
-    left_out = [_left_out(name, seen, k, curved=best.curved) for k in range(len(seen))]
+        for order in (3, 4):
+            if len(seen) >= _ORDERS[order] and _predicts_better(name, seen, order, than=best.order):
+                best = _Fit.of(name, seen, order=order)
+    left_out = [_left_out(name, seen, k, order=best.order) for k in range(len(seen))]
     planes = tuple(
         PlaneOfLight(s.plane, len(s.points), _robust_rms(best.sheet.distance(s.points), best.scale), loo)
         for s, loo in zip(seen, left_out, strict=True)
@@ -122,21 +138,23 @@ def fit_laser(
     )  # fmt: skip
 
 
-def _is_curved(stripes: list[StripePoints], flat: _Fit, quadratic: _Fit) -> bool:
-    if len(stripes) < 4:
+def _is_curved(stripes: list[StripePoints], quadratic: _Fit) -> bool:
+    if len(stripes) < _ORDERS[2]:
         return False
     valley, error = quadratic.flatness()
-    if valley < 5 * error:
-        return False
-    plane = [_left_out(flat.name, stripes, k, curved=False) for k in range(len(stripes))]
-    curve = [_left_out(flat.name, stripes, k, curved=True) for k in range(len(stripes))]
-    return bool(np.nanmean(np.square(curve)) < 0.7 * np.nanmean(np.square(plane)))
+    return valley >= 5 * error and _predicts_better(quadratic.name, stripes, 2, than=1)
 
 
-def _left_out(name: str, stripes: list[StripePoints], k: int, *, curved: bool) -> float:
+def _predicts_better(name: str, stripes: list[StripePoints], order: int, *, than: int) -> bool:
+    """Whether a higher order takes 30 % off the variance of planes left out."""
+    high, low = ([_left_out(name, stripes, k, order=n) for k in range(len(stripes))] for n in (order, than))
+    return bool(np.nanmean(np.square(high)) < 0.7 * np.nanmean(np.square(low)))
+
+
+def _left_out(name: str, stripes: list[StripePoints], k: int, *, order: int) -> float:
     rest = [s for i, s in enumerate(stripes) if i != k]
     try:
-        fit = _Fit.of(name, rest, curved=curved)
+        fit = _Fit.of(name, rest, order=order)
     except CalibrationError:
         return float("nan")
     return _robust_rms(fit.sheet.distance(stripes[k].points), 0.0)
@@ -159,10 +177,10 @@ class _Fit:
     used: Bools
     scale: float  # mm, robust deviation of the residuals
     rms: float  # mm, of the used points
-    curved: bool
+    order: int
 
     @classmethod
-    def of(cls, name: str, stripes: list[StripePoints], *, curved: bool) -> _Fit:
+    def of(cls, name: str, stripes: list[StripePoints], *, order: int) -> _Fit:
         points = np.concatenate([s.points for s in stripes])
         weights = _balance(stripes)
         try:
@@ -179,25 +197,47 @@ class _Fit:
         frame = _frame(points, plane)
         if np.ptp(frame.coordinates(points)[:, 1]) * frame.reach < 1e-3 * frame.reach:
             raise CalibrationError(_one_line(name, len(stripes)))
-        parameters, robust, inverse = _refine(points, weights, plane, frame, curved=curved)
-        residual = plane.distance(points) - frame.terms(points, curved=curved) @ parameters
+        parameters, robust, inverse = _refine(points, weights, plane, frame, order=order)
+        residual = plane.distance(points) - frame.terms(points, order=order) @ parameters
         used = np.asarray(robust > 0)
         freedom = max(int(used.sum()) - len(parameters), 1)
         variance = float((robust * residual**2).sum() / freedom)
+        covariance = inverse * variance
+        covariance[2, 2] += _unexplained(np.split(np.where(used, residual, np.nan), _ends(stripes)))
         flat, frame = _moved(plane, frame, parameters)
-        sheet: Sheet = CurvedSheet(flat, frame, parameters[3:]) if curved else flat
+        sheet: Sheet = CurvedSheet(flat, frame, parameters[3:]) if order > 1 else flat
         rms = float(np.sqrt((residual[used] ** 2).mean()))
-        return cls(name, sheet, frame, inverse * variance, points, used, _scale(residual), rms, curved)
+        return cls(name, sheet, frame, covariance, points, used, _scale(residual), rms, order)
 
     def flatness(self) -> tuple[float, float]:
         """Peak to valley of the quadratic part over the points, mm, and its standard error."""
         if not isinstance(self.sheet, CurvedSheet):
             return 0.0, float("inf")
-        shape = self.frame.terms(self.points[self.used], curved=True)[:, 3:]
+        shape = self.frame.terms(self.points[self.used], order=self.order)[:, 3:]
         height = shape @ self.sheet.curvature
         high, low = int(np.argmax(height)), int(np.argmin(height))
         difference = shape[high] - shape[low]
         return float(height[high] - height[low]), float(np.sqrt(difference @ self.covariance[3:, 3:] @ difference))
+
+
+def _ends(stripes: list[StripePoints]) -> Array:
+    return np.cumsum([len(s.points) for s in stripes])[:-1]
+
+
+def _unexplained(residuals: list[Array]) -> float:
+    """Variance, mm^2, that residuals (n,) of stripes, in the order of their lines, share with those a few lines away.
+
+    The mean product of residuals at `_LAGS` is free of independent noise. Zero where it is within three standard errors
+    of none.
+    """
+    products = np.concatenate([r[:-lag] * r[lag:] for r in residuals for lag in _LAGS if len(r) > lag] or [np.zeros(0)])
+    known = np.isfinite(products)
+    count = int(known.sum())
+    if count < 100:
+        return 0.0
+    total = float(np.nanmean(np.concatenate(residuals) ** 2))
+    shared = float(products[known].mean())
+    return shared if shared > 3 * total / np.sqrt(count) else 0.0
 
 
 def _one_line(name: str, planes: int) -> str:
@@ -235,10 +275,10 @@ def _frame(points: Array, plane: Plane) -> SheetFrame:
 
 
 def _refine(
-    points: Array, weights: Array, plane: Plane, frame: SheetFrame, *, curved: bool
+    points: Array, weights: Array, plane: Plane, frame: SheetFrame, *, order: int
 ) -> tuple[Array, Array, Array]:
     """Parameters about the plane, the robust weights, and the inverse normal matrix of the weighted fit."""
-    terms, distance = frame.terms(points, curved=curved), plane.distance(points)
+    terms, distance = frame.terms(points, order=order), plane.distance(points)
     parameters, robust = np.zeros(terms.shape[1]), weights
     for _ in range(20):
         residual = distance - terms @ parameters

@@ -48,15 +48,24 @@ class PinholeCamera:
 
     def sigma_at(self, pixels: Array, points: Array) -> Array:
         """Standard deviation (N,) mm across the ray from the covariance of the intrinsics, by differences."""
-        base = self.directions(pixels, self.matrix, self.distortion)
-        scale = np.sqrt(np.diag(self.covariance))
-        moved = np.zeros((9, *base.shape))
-        for k in range(9):
-            if scale[k] > 0:
-                moved[k] = (self.directions(pixels, *_perturbed(self, k, scale[k])) - base) / scale[k]
-        variance = np.einsum("kni,kl,lni->n", moved, self.covariance, moved) / 2
+        moved = self.jacobian(pixels, points)
+        variance = np.einsum("nik,kl,nil->n", moved, self.covariance, moved) / 2
+        return np.asarray(np.sqrt(np.maximum(variance, 0)))
+
+    def jacobian(self, pixels: Array, points: Array) -> Array:
+        """Movement (N, 3, 9) mm of the rays of pixels at points (N, 3), a unit of each intrinsic, by differences.
+
+        Intrinsics that were held fixed, whose variance is 0, move nothing.
+        """
         distance = np.linalg.norm(points - self.c_from_camera.translation, axis=1)
-        return np.asarray(distance * np.sqrt(np.maximum(variance, 0)))
+        scale = np.sqrt(np.diag(self.covariance))
+        moved = np.zeros((len(pixels), 3, 9))
+        for k in np.flatnonzero(scale > 0):
+            ahead, behind = (
+                self.directions(pixels, *_perturbed(self, int(k), step)) for step in (0.5 * scale[k], -0.5 * scale[k])
+            )
+            moved[:, :, k] = (ahead - behind) @ self.c_from_camera.rotation.T * (distance / scale[k])[:, None]
+        return moved
 
     @staticmethod
     def directions(pixels: Array, matrix: Array, distortion: Array) -> Array:

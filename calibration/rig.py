@@ -19,7 +19,7 @@ from calibration.pinhole import PinholeCamera
 from calibration.plane_map import PlaneMap
 from calibration.polynomial import Domain, exponents
 from calibration.ray_field import RayField
-from calibration.sheet import CurvedSheet, Sheet, SheetFrame
+from calibration.sheet import CurvedSheet, Sheet, SheetFrame, order_of
 from calibration.stage import Stage
 from calibration.two_plane import TwoPlaneCamera
 from calibration.volume import Volume
@@ -302,6 +302,7 @@ def _frame(content: dict[str, Any]) -> SheetFrame:
 
 def _laser(content: dict[str, Any]) -> Laser:
     terms = len(content["covariance"])
+    order_of(terms)
     return Laser(
         str(content["name"]), _sheet(content["sheet"]), _frame(content["frame"]), _array(content["covariance"], terms, terms, known=False),
         _array(content["origin"], 3, known=False), _one_of(content["along"], {"rows", "columns"}),
@@ -318,7 +319,8 @@ def _sheet(content: dict[str, Any]) -> Sheet:
     if content["kind"] == "curved":
         base = content["plane"]
         plane = Plane(_unit(base["normal"]), float(base["offset"]))
-        return CurvedSheet(plane, _frame(content["frame"]), _array(content["curvature"], 3))
+        order_of(3 + len(content["curvature"]))
+        return CurvedSheet(plane, _frame(content["frame"]), _array(content["curvature"], -1))
     return Plane(_unit(content["normal"]), float(content["offset"]))
 
 

@@ -1,4 +1,4 @@
-"""The sheet of light: a plane, or slightly curved behind a window."""
+"""The sheet of light: a plane, or curved behind a window."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SheetFrame:
     """Coordinates within a sheet: where parameters of a sheet and their covariance are expressed.
 
     A sheet near the plane through ``centre`` spanned by ``axes`` is moved along the normal by
-    ``terms(points) @ parameters``: tilt about both axes, offset, and, where curved, a^2, a b, b^2.
+    ``terms(points) @ parameters``: tilt about both axes, offset, and, where curved, a^2, a b, b^2, a^3, a^2 b ...
     """
 
     centre: Array  # (3,) mm
@@ -43,20 +43,35 @@ class SheetFrame:
         """(N, 2) of points (N, 3), about -1 to 1 over what was measured."""
         return np.asarray((points - self.centre) @ self.axes.T / self.reach)
 
-    def terms(self, points: Array, *, curved: bool) -> Array:
-        """(N, 3) or (N, 6)."""
+    def terms(self, points: Array, *, order: int) -> Array:
+        """(N, 3) for order 1, else up to that order in a and b: (N, 6), (N, 10), (N, 14)."""
         a, b = self.coordinates(points).T
-        flat = [a, b, np.ones_like(a)]
-        return np.stack([*flat, a * a, a * b, b * b] if curved else flat, axis=1)
+        return np.stack([a, b, np.ones_like(a), *(a**i * b**j for i, j in bends(order))], axis=1)
+
+
+def bends(order: int) -> list[tuple[int, int]]:
+    """Exponents of a and b in the terms of orders 2 to ``order``, at most 4: a^2, a b, b^2, a^3 ...
+
+    Without b^4: b is the shorter axis, mostly that of depth, on which few planes tell anything.
+    """
+    return [(n - j, j) for n in range(2, order + 1) for j in range(min(n, 3) + 1)]
+
+
+def order_of(terms: int) -> int:
+    """Order of a sheet with so many terms, tilts and offset included; ``ValueError`` for a number that none has."""
+    orders = {3: 1, 6: 2, 10: 3, 14: 4}
+    if terms not in orders:
+        raise ValueError(f"a sheet of {terms} terms; 3, 6, 10 or 14 are possible")
+    return orders[terms]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurvedSheet:
-    """A plane with a quadratic departure along its normal: n . x = offset + k . (a^2, a b, b^2)."""
+    """A plane with a departure along its normal: n . x = offset + k . (a^2, a b, b^2), and up to the fourth order."""
 
     plane: Plane
     frame: SheetFrame
-    curvature: Array  # (3,) mm
+    curvature: Array  # (3,), (7,) or (11,) mm
 
     @property
     def normal(self) -> Array:
@@ -68,9 +83,14 @@ class CurvedSheet:
         """Offset of the base plane, mm."""
         return self.plane.offset
 
+    @property
+    def order(self) -> int:
+        """Of the departure in a and b: 2, 3 or 4."""
+        return order_of(3 + len(self.curvature))
+
     def departure(self, points: Array) -> Array:
         """Height (N,) mm of the sheet above its base plane at points (N, 3)."""
-        return np.asarray(self.frame.terms(points, curved=True)[:, 3:] @ self.curvature)
+        return np.asarray(self.frame.terms(points, order=self.order)[:, 3:] @ self.curvature)
 
     def distance(self, points: Array) -> Array:
         """Signed distances (N,) mm along the base plane's normal."""
@@ -79,8 +99,10 @@ class CurvedSheet:
     def normal_at(self, points: Array) -> Array:
         """Unit normals (N, 3): gradient of `distance`."""
         a, b = self.frame.coordinates(points).T
-        k = self.curvature / self.frame.reach
-        along = np.stack([2 * k[0] * a + k[1] * b, k[1] * a + 2 * k[2] * b], axis=1)
+        along = np.zeros((len(points), 2))
+        for k, (i, j) in zip(self.curvature / self.frame.reach, bends(self.order), strict=True):
+            along[:, 0] += k * i * a ** max(i - 1, 0) * b**j
+            along[:, 1] += k * j * a**i * b ** max(j - 1, 0)
         normals = self.plane.normal - along @ self.frame.axes
         return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 

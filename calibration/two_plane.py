@@ -68,6 +68,19 @@ class TwoPlaneCamera:
         """Standard deviation (N,) mm of the rays across depth at points (N, 3), from the noise of the marks."""
         return self.field.sigma_at(pixels, self.field.depth(points))
 
+    @property
+    def covariance(self) -> Array:
+        """Covariance (P, P) of the coefficients of the joint field, those of its x before those of its y.
+
+        The joint field stands for the plane maps, too: both were fitted to the same marks.
+        """
+        return np.asarray(np.kron(np.eye(2), self.field.sigma**2 * self.field.inverse), dtype=np.float64)
+
+    def jacobian(self, pixels: Array, points: Array) -> Array:
+        """Movement (N, 3, P) mm, across depth, of the rays of pixels at points (N, 3), a unit of each coefficient."""
+        row = self.field.design(pixels, self.field.depth(points))
+        return np.concatenate([self.field.c_from_d[:, k, None] * row[:, None, :] for k in range(2)], axis=2)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoPlaneFit:

@@ -41,4 +41,5 @@ for _commands in (calibrate, scan, measure, locate, view):
 def main() -> None:
     """Run the command."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # read when OpenCV is first imported; SCOPE says what is wrong
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet, for the same reason
     app()

@@ -139,9 +139,13 @@ def extract(
         peaks[2] = 0  # the choice is made: other peaks do not matter
     table = measure(view, peaks[0], guess)
     contrast = 0.0
-    if noise is None or options.speckle == "on" or (options.speckle == "auto" and _looks_speckled(table)):
+    if (
+        noise is None
+        or options.speckle == "on"
+        or (options.speckle == "auto" and _looks_speckled(table, _threshold(options, noise)))
+    ):
         noise, contrast = _learn(view, peaks, table, noise, options)
-    return _stripe(along, table, peaks, noise, contrast, view.saturation, options)
+    return _stripe(along, table, peaks, noise, contrast, view, options)
 
 
 def estimate_noise(
@@ -188,11 +192,11 @@ def _known_noise(options: StripeOptions) -> Noise | None:
     return Noise(options.gain_e, options.read_noise)
 
 
-def _looks_speckled(table: Array) -> bool:
+def _looks_speckled(table: Array, threshold: float) -> bool:
     """Whether the profiles, or the peaks of neighbouring lines, differ by more than shot and read noise explain."""
     from ranging.stripe_judge import count_uneven
 
-    good, misfits, rough = count_uneven(table, 2.2, 0.06)
+    good, misfits, rough = count_uneven(table, threshold, 2.2, 0.06)
     return bool(good >= 40 and max(misfits, rough) > 0.5 * good)
 
 
@@ -234,17 +238,20 @@ def _learn(
 
 
 def _stripe(
-    along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, contrast: float, saturation: int,
+    along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, contrast: float, view: _View,
     options: StripeOptions,
 ) -> Stripe:  # fmt: skip
     """Judge the lines of a table and hand over its answers."""
-    from ranging.stripe_judge import compare, judge, stretches
+    from ranging.stripe_judge import compare, darken, judge, part_mixed, stretches
 
     reason = np.empty(table.shape[1], np.uint8)
+    threshold = _threshold(options, noise)
     judge(
-        table, peaks, _threshold(options, noise), float(saturation), options.minimum_width, options.maximum_width,
+        table, peaks, threshold, float(view.saturation), options.minimum_width, options.maximum_width,
         options.two_peaks, options.edge, reason,
     )  # fmt: skip
+    darken(view.pixels, view.dark, view.layout, peaks, threshold, reason)
+    part_mixed(table, reason)
     if options.neighbours:
         begin, end = np.empty((2, table.shape[1]), np.int32)
         count = stretches(table, reason, begin, end)

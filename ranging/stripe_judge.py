@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from calibration.geometry import Array, Codes
 from calibration.reason import Reason
-from ranging.kernels import compiled
+from ranging.kernels import Pixels, compiled
 from ranging.stripe_table import (
     ASYMMETRY,
     ASYMMETRY_SIGMA,
@@ -24,6 +24,7 @@ from ranging.stripe_table import (
     SIGMA,
     STATE,
     WIDTH,
+    Layout,
 )
 
 RANGED = int(Reason.RANGED)
@@ -40,6 +41,9 @@ SIGNIFICANT = 4.0  # standard deviations by which an asymmetry must exceed what 
 JUMP = 1.25  # px, step between lines, unlike the steps before and after, at which a stretch of stripe ends
 GAP = 3  # lines that may be missing within a stretch
 BLOCK = 31  # lines over which the usual width is the median
+COMB = 4  # px
+ASIDE = 6  # lines
+MIXED = 1.25  # times the width of most lines near by, beyond which a line sees two surfaces
 PULL = 1.2  # shift of a cut Gaussian over its loss of width: 1.0 for a cut at 2 sigma, 1.4 at 1 sigma
 LEAN = 2.0  # shift of the maximum likelihood position over sigma times asymmetry, in round numbers
 
@@ -95,14 +99,70 @@ def judge(
 
 
 @compiled
-def count_uneven(table: Array, misfit: float, roughness: float) -> tuple[int, int, int]:
-    """Count the lines that are GOOD, those that exceed ``misfit``, and those unlike the line before.
+def darken(
+    pixels: Pixels, dark: Pixels, layout: Layout, peaks: NDArray[np.int32], threshold: float, reason: Codes
+) -> None:  # fmt: skip
+    """Give the reason NO_LIGHT to lines without an answer whose highest pixel is not ``threshold`` above their median.
 
-    Unlike: their peaks differ by more than the share ``roughness``.
+    The fit of a dark line runs anywhere: how wide or high it is says nothing. One pixel in `COMB` tells the median.
+    """
+    _, length, line_step, pixel_step = layout
+    some = np.empty((length + COMB - 1) // COMB)
+    for i in range(len(reason)):
+        if reason[i] == RANGED or reason[i] == NO_LIGHT:
+            continue
+        for k in range(len(some)):
+            at = i * line_step + k * COMB * pixel_step
+            some[k] = np.float64(pixels[at])
+            if dark.size > 0:
+                some[k] = max(some[k] - np.float64(dark[at]), 0.0)
+        if peaks[1, i] - np.median(some) < threshold:
+            reason[i] = NO_LIGHT
+
+
+@compiled
+def part_mixed(table: Array, reason: Codes) -> None:
+    """Give the reason EDGE to lines that see two surfaces: far wider than those a few lines before, and those behind.
+
+    At an edge along the stripe's normal a line has some light of both surfaces. Where their stripes merge, the profile is
+    symmetric, and lies at neither. Neighbours 2 to `ASIDE` lines away are asked, since the next one may be mixed, too; a
+    line as wide as most of them, to one side at least, is where the surface is steep.
+    """
+    count, found = table.shape[1], False
+    for i in range(count):
+        if reason[i] != RANGED:
+            continue
+        least = (table[WIDTH, i] - SIGNIFICANT * table[SIGMA, i]) / MIXED
+        if 2 <= i < count - 2 and table[WIDTH, i - 2] >= least and table[WIDTH, i + 2] >= least:
+            continue  # nearly all lines
+        alike, known = False, 0
+        for way in (-1, 1):
+            here, wide = 0, 0
+            for d in range(2, ASIDE + 1):
+                j = i + way * d
+                if 0 <= j < count and table[WIDTH, j] > 0.0:
+                    here += 1
+                    wide += 1 if table[WIDTH, j] >= least else 0
+            alike = alike or (here > 0 and 2 * wide >= here)
+            known = max(known, here)
+        if known >= 3 and not alike:
+            reason[i], found = EDGE, True
+    for i in range(count if found else 0):
+        if reason[i] == EDGE:
+            for row in range(ROWS):
+                if row != STATE:
+                    table[row, i] = np.nan
+
+
+@compiled
+def count_uneven(table: Array, threshold: float, misfit: float, roughness: float) -> tuple[int, int, int]:
+    """Count the lines that are GOOD with a peak above ``threshold``, those that exceed ``misfit``, and those unlike the line before.
+
+    Unlike: their peaks differ by more than the share ``roughness``. Dark lines tell nothing: all of them are unlike.
     """
     good, misfits, rough = 0, 0, 0
     for i in range(table.shape[1]):
-        if table[STATE, i] != GOOD:
+        if table[STATE, i] != GOOD or not table[PEAK, i] >= threshold:
             continue
         good += 1
         misfits += 1 if table[MISFIT, i] > misfit else 0

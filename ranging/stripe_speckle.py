@@ -28,6 +28,8 @@ from ranging.stripe_table import FLOOR, GOOD, PEAK, POSITION, SIGMA, STATE, WIDT
 GRAINS = (0.3, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # px, trial values of the correlation length
 LAGS = 5  # px, farthest products of residuals that are looked at
 REACH = 9  # px, half window of the analysis
+STEP = 4.0  # px from line to line, beyond which a stripe does not go on
+UNLIKE = 20.0  # times the squared residuals of the lines about it: beyond, chance has no part in one line of 400
 LEAST_LINES = 40  # lines, fewer tell nothing about the noise
 
 
@@ -202,10 +204,11 @@ class Leftover:
 def leftover(pixels: Pixels, dark: Pixels, layout: Layout, table: Array, saturation: float) -> Leftover | None:
     """Amplitude, width and floor of every line are replaced by their running medians; the position stays its own.
 
-    ``None`` where fewer than ``LEAST_LINES`` lines are usable.
+    Lines whose peak stands alone show no stripe: the highest pixel of a dark line is anywhere, and its fit tells of the noise
+    of maxima. Lines of far more than the usual residual lie at an edge, and are no speckle. ``None`` where fewer than ``LEAST_LINES`` lines are usable.
     """
     _, length, line_step, pixel_step = layout
-    good = np.flatnonzero((table[STATE] == GOOD) & (table[PEAK] > 0) & np.isfinite(table[SIGMA]))
+    good = np.flatnonzero((table[STATE] == GOOD) & (table[PEAK] > 0) & np.isfinite(table[SIGMA]) & _goes_on(table))
     if len(good) < LEAST_LINES:
         return None
     p = table[POSITION, good]
@@ -226,7 +229,17 @@ def leftover(pixels: Pixels, dark: Pixels, layout: Layout, table: Array, saturat
     left -= np.median(left, axis=0)  # a constant shape that is not Gaussian is no noise
     common = float(np.median(peak[steady]))
     left *= (common / peak[steady])[:, None]
-    return Leftover(good[steady], left, common, float(np.median(s[steady])))
+    energy = (left**2).sum(axis=1)
+    alike = energy <= UNLIKE * running_median(energy)
+    return Leftover(good[steady][alike], left[alike], common, float(np.median(s[steady])))
+
+
+def _goes_on(table: Array) -> NDArray[np.bool_]:
+    """Lines (N,) near whose position at least two of the four lines about them have theirs."""
+    place = np.pad(np.where(table[STATE] == GOOD, table[POSITION], np.nan), 2, constant_values=np.nan)
+    here = place[2:-2]
+    near = [np.abs(place[2 + d : len(place) - 2 + d] - here) < STEP * abs(d) for d in (-2, -1, 1, 2)]
+    return np.asarray(np.sum(near, axis=0) >= 2)
 
 
 def analyse(found: Leftover, known: Noise | None) -> tuple[Noise, Speckle]:

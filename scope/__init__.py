@@ -22,6 +22,7 @@ _HOMES = {
     "Plane": "calibration.geometry",
     "Polygon": "scope.region",
     "Pose": "calibration.geometry",
+    "PointCovariance": "ranging.covariance",
     "PoseResult": "scope.pose_answer",
     "Ranged": "calibration.geometry",
     "RangingError": "ranging.errors",
@@ -39,6 +40,7 @@ _HOMES = {
     "estimate_pose": "scope.pose",
     "measure_heights": "scope.roughness",
     "measure_roughness": "scope.roughness",
+    "point_covariance": "scope.covariance",
     "scan": "scope.scanning",
     "verify": "scope.verifying",
 }

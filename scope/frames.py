@@ -117,7 +117,7 @@ class Stream:
         import cv2
 
         if capture.video is not None:
-            opened = cv2.VideoCapture(str(capture.video))
+            opened = cv2.VideoCapture(str(capture.video), _decoder())
             if not opened.isOpened():
                 raise FileError(f"{capture.video}: is no video that can be decoded; record it again or give images")
             announced = int(opened.get(cv2.CAP_PROP_FRAME_COUNT))
@@ -190,6 +190,14 @@ class Stream:
                 f"{self.name}: by its timestamps {self._skipped} frames were dropped before frame {k} and with `step` what "
                 "follows is misplaced; list `positions`"
             )
+
+
+def _decoder() -> int:
+    """FFmpeg where OpenCV has it: the decoders that are tried after it print what they do not understand."""
+    import cv2
+
+    known = cv2.videoio_registry.getStreamBackends()
+    return int(cv2.CAP_FFMPEG if cv2.CAP_FFMPEG in known else cv2.CAP_ANY)
 
 
 def open_source(capture: Capture) -> Source:

@@ -1,7 +1,9 @@
 """A scan written while it runs, so that memory stays flat and an interrupted scan can be resumed.
 
 ``cloud.ply.part`` is a line of JSON that says what is scanned, followed by chunks: a line of JSON with the counts of a
-run of frames, and its points as the vertex records of `scope.files`. A chunk that is cut short is not read.
+run of frames, and its points as the vertex records of `scope.files`. A chunk that is cut short is not read. The last
+frames before an interruption were judged without those that follow them: they count for the cloud of what was found, and
+are ranged again when the scan goes on.
 """
 
 from __future__ import annotations
@@ -114,6 +116,7 @@ def _write_chunk(stream: BinaryIO, chunk: Chunk) -> None:
         "empty": chunk.empty,
         "rejected": chunk.rejected,
         "stripes": {str(laser): list(stripe) for laser, stripe in chunk.stripes.items()},
+        "settled": chunk.settled,
     }
     try:
         stream.write(json.dumps(head).encode() + b"\n" + vertex_records(chunk.cloud).tobytes())
@@ -150,6 +153,8 @@ def _resumed(part: Path, identity: dict[str, str], tally: Tally) -> int:
         raise FileError(f"{part}: is of another capture, rig or options; scan without --resume, or restore them")
     end = len(json.dumps(identity)) + 1
     for head, rows in _records(part):
+        if not head.settled:
+            break
         tally.add(_chunk(head, rows))
         end = head.end
     return end
@@ -164,6 +169,7 @@ class _Head:
     points: int
     empty: int
     rejected: Counter[str]
+    settled: bool
     end: int = 0  # of the chunk, bytes from the start of the file
     stripes: Mapping[int, Footprint] = field(default_factory=dict)
 
@@ -185,7 +191,9 @@ class _Head:
         if min(numbers) < 0 or numbers[2] > 1 << 28:
             return None
         first, frames, points, empty = numbers
-        return cls(first, frames, points, empty, rejected, stream.tell() + points * VERTEX.itemsize, stripes)
+        settled = told.get("settled") is True
+        end = stream.tell() + points * VERTEX.itemsize
+        return cls(first, frames, points, empty, rejected, settled, end, stripes)
 
 
 def _records(part: Path) -> Iterator[tuple[_Head, ply.Records]]:
@@ -212,7 +220,7 @@ def _chunk(head: _Head, rows: ply.Records) -> Chunk:
         frame=rows["frame"].copy(),
         laser=rows["laser"].copy(),
     )
-    return Chunk(head.first, head.frames, cloud, head.rejected, head.empty, head.stripes)
+    return Chunk(head.first, head.frames, cloud, head.rejected, head.empty, head.stripes, head.settled)
 
 
 def _json_line(stream: BinaryIO) -> dict[str, Any] | None:

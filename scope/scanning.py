@@ -96,7 +96,7 @@ def run_scan(
     on_frame : callable
         Called with (done, total) after each frame; total is 0 where nobody knows it.
     done : list of Chunk, optional
-        Chunks of an interrupted scan: ranging goes on after their last frame.
+        Chunks of an interrupted scan, those that were ``settled``: ranging goes on after their last frame.
     on_chunk : callable, optional
         Called with each new chunk, so that what was found can be kept.
 
@@ -163,6 +163,7 @@ class Plan:
     motion: Motion
     source: Source
     centre: Array  # (3,) camera centre in C
+    like: Image | None  # with whose depth and channels all frames must agree; None before any has come
 
     @classmethod
     def of(cls, capture: Capture, rig: Rig, options: ScanOptions) -> Plan:
@@ -192,7 +193,19 @@ class Plan:
         centre = centre_of(rig.camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)))
         # where the object moves, frames are compared with each other: a better judge than a frame's own lines
         stripe = replace(options.stripe, neighbours=options.stripe.neighbours and not isinstance(motion, Linear))
-        plan = cls(capture, rig, options, lasers, channels, darks, stripe, motion, source, centre)
+        plan = cls(
+            capture,
+            rig,
+            options,
+            lasers,
+            channels,
+            darks,
+            stripe,
+            motion,
+            source,
+            centre,
+            sample[0] if sample else None,
+        )
         return replace(plan, stripe=plan._with_noise(frames))
 
     def _with_noise(self, frames: list[Frame]) -> StripeOptions:
@@ -234,7 +247,7 @@ class Plan:
         window = window + self._see(fresh)
         while begun < at + len(window):
             end = min(begun + (CHUNK if begun else FIRST), at + len(window))
-            yield self._chunk(window, at, begun, end)
+            yield replace(self._chunk(window, at, begun, end), settled=False)
             begun = end
         if stopped:
             raise KeyboardInterrupt
@@ -250,6 +263,12 @@ class Plan:
     def _extract(self, frame: Frame) -> tuple[int, list[_Taken]]:
         """Stripes of one frame, by laser; runs in a thread."""
         _check_size(frame.image, self.capture, self.rig, frame.name)
+        like = self.like
+        if like is not None and (frame.image.dtype != like.dtype or frame.image.ndim != like.ndim):
+            raise FileError(
+                f"{self.capture.path}: {frame.name}: {shape_text(frame.image)}, others have {shape_text(like)}; all frames of "
+                "a scan must agree: take them with the same settings"
+            )
         shown = range(len(self.lasers))
         if self.capture.sequence == "cycle":
             shown = range(frame.number % len(self.lasers), frame.number % len(self.lasers) + 1)
@@ -441,6 +460,8 @@ def _lasers(capture: Capture, rig: Rig) -> tuple[Laser, ...]:
 
 def _channel(capture: Capture, laser: Laser, sample: list[Image], has_dark: bool) -> Channel:
     asked = capture.channel if capture.channel != "auto" else laser.channel.partition("-")[0]
+    if capture.channel == "auto" and asked == "gray":  # calibrated without colours, which says nothing of these images
+        asked = "auto"
     return choose_channel(sample, asked, laser_off=has_dark) if sample else asked  # type: ignore[arg-type, return-value]
 
 

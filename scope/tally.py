@@ -41,6 +41,7 @@ class Chunk:
     rejected: Counter[str]
     empty: int  # frames without a single point
     stripes: Mapping[int, Footprint] = field(default_factory=dict)  # by laser
+    settled: bool = True  # False: frames that follow would have a say in it, and did not come
 
 
 @dataclass(slots=True, eq=False)

@@ -231,7 +231,7 @@ def laser_content(laser: Laser) -> dict[str, Any]:
         "n": laser.n,
         "flatness_mm": laser.flatness_mm,
         "flatness_sigma_mm": laser.flatness_sigma,
-        "curved": len(laser.covariance) == 6,
+        "curved": len(laser.covariance) > 3,
         "along": laser.along,
         "channel": laser.channel,
         "planes": [{"name": p.plane, "n": p.n, "rms_mm": p.rms_mm, "loo_mm": p.loo_mm} for p in laser.planes],

@@ -10,6 +10,7 @@ from calibration.geometry import Plane, Rays
 from calibration.laser import StripePoints, fit_laser
 from calibration.reason import Reason
 from calibration.sheet import CurvedSheet, SheetFrame
+from scope.optics import ExactLaser, Window
 
 SHEET = Plane.through([0.0, 10.0, 400.0], [0.05, 0.9, -0.4])
 
@@ -82,11 +83,58 @@ def test_rays_end_on_a_curved_sheet() -> None:
     assert rays.distance_to(found.points).max() < 1e-9
     a, b = (found.points[:, 0]) / 100, (found.points[:, 2] - 400) / 100
     assert np.allclose(found.points[:, 1], 0.5 * a * a - 0.2 * a * b + 0.3 * b * b, atol=1e-6)
+    check_normals(sheet, found.points)
+
+
+def check_normals(sheet: CurvedSheet, points: np.ndarray) -> None:
     step = 1e-3
     for k, axis in enumerate(np.eye(3)):
-        slope = (sheet.distance(found.points + step * axis) - sheet.distance(found.points - step * axis)) / (2 * step)
-        normal = sheet.normal_at(found.points)
+        slope = (sheet.distance(points + step * axis) - sheet.distance(points - step * axis)) / (2 * step)
+        normal = sheet.normal_at(points)
         assert np.allclose(normal[:, k] / normal[:, 1], slope, atol=1e-6)
+
+
+@pytest.mark.parametrize("order", [3, 4])
+def test_normals_of_sheets_of_higher_order(order: int) -> None:
+    frame = SheetFrame(np.array([0.0, 0.0, 400.0]), np.array([[1.0, 0, 0], [0, 0, 1.0]]), 100.0)
+    rng = np.random.default_rng(order)
+    plane = Plane.through([0.0, 0.0, 400.0], [0.0, 1.0, 0.0])
+    sheet = CurvedSheet(plane, frame, rng.normal(0.0, 0.2, {3: 7, 4: 11}[order]))
+    points = rng.uniform(-80.0, 80.0, (30, 3)) + np.array([0.0, 0.0, 400.0])
+    check_normals(sheet, points)
+
+
+def test_a_sheet_behind_thick_tilted_glass_takes_the_order_that_it_needs() -> None:
+    """Snell's law bends the sheet by more than a quadratic surface: the truth is traced by `scope.optics`."""
+    window = Window.tilted(30.0, 1.52, (np.deg2rad(18.0), np.deg2rad(8.0)), 100.0)
+    light = ExactLaser.aimed(
+        np.array([0.0, -150.0, 10.0]), np.array([0.0, 0.0, 400.0]), width=0.5, half_fan=np.deg2rad(25.0), window=window
+    )
+    rays = light.rays(np.linspace(-light.half_fan, light.half_fan, 250))
+    rng = np.random.default_rng(4)
+    found = []
+    for z in (340, 370, 400, 430, 460):
+        points = rays.at_depth(float(z))
+        noisy = points + rng.normal(0.0, 0.008, (len(points), 1)) * light.sheet_normal(points)
+        found.append(StripePoints(f"w{z}", noisy, np.full(len(points), 0.008)))
+    laser = fit(found)
+    between = np.concatenate([rays.at_depth(z) for z in (350.0, 385.0, 415.0, 445.0)])
+    error = laser.sheet.distance(between)
+    assert laser.rms_mm < 1.25 * 0.008
+    assert np.sqrt((error**2).mean()) < 0.008
+    assert 0.4 < np.sqrt((error**2).mean()) / np.sqrt((laser.sigma_at(between) ** 2).mean()) < 2.0
+
+
+def test_what_the_shape_of_a_sheet_does_not_explain_counts_as_its_uncertainty() -> None:
+    rng = np.random.default_rng(5)
+    found = stripes(rng, 0.01)
+    for s in found:
+        s.points[:] += np.outer(0.03 * np.sin(np.linspace(0.0, 20.0, 120)), SHEET.normal)  # a bad lens of the laser
+    laser = fit(found)
+    at = np.concatenate([s.points[::10] for s in stripes(rng, 0.0)])
+    assert 0.7 * 0.03 / np.sqrt(2) < np.median(laser.sigma_at(at)) < 1.5 * 0.03 / np.sqrt(2)
+    even = [fit(stripes(rng, 0.01), curved=False) for _ in range(20)]
+    assert np.median([np.median(laser.sigma_at(at)) for laser in even]) < 0.0015
 
 
 @pytest.mark.parametrize(("depths", "text"), [((400,), "1 plane"), ((), "0 plane")])

@@ -73,6 +73,24 @@ def test_a_part_that_is_cut_anywhere_goes_on(session, long_capture: Path, tmp_pa
         assert (tmp_path / "cloud.ply").read_bytes() == whole.read_bytes()
 
 
+@pytest.mark.parametrize("stop", [2, 30])
+def test_a_scan_that_the_user_ended_goes_on_to_the_same_cloud(
+    session, long_capture: Path, tmp_path: Path, stop: int
+) -> None:
+    scan_to_file(long_capture, session.rig, tmp_path / "whole.ply", ScanOptions())
+
+    def tick(done: int, _total: int) -> None:
+        if done == stop:
+            raise KeyboardInterrupt
+
+    found = scan_to_file(long_capture, session.rig, tmp_path / "cloud.ply", ScanOptions(), on_frame=tick)
+    assert found.frames == stop
+    assert f"after {stop} frames" in found.why_incomplete
+    assert not ScanCloud.load(tmp_path / "cloud.ply").complete
+    assert scan_to_file(long_capture, session.rig, tmp_path / "cloud.ply", ScanOptions(), resume=True).frames == 48
+    assert (tmp_path / "cloud.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+
+
 def test_a_typing_error_does_not_cost_the_part(session, tmp_path: Path) -> None:
     (tmp_path / "cloud.ply.part").write_bytes(b"what an hour of scanning gave")
     with pytest.raises(ScopeError):
@@ -143,6 +161,31 @@ def test_a_camera(
     assert (found.frames, found.cloud.complete) == (n, complete)
     assert agree(found.cloud, plain.select(plain.frame < n))
     assert ("7 of 12" in found.why_incomplete) != complete
+
+
+def test_frames_in_colour_are_read_in_the_colour_of_the_line_though_the_rig_knows_none(
+    session, copy_of_session
+) -> None:
+    copy = copy_of_session()
+    shade = np.repeat(np.repeat(np.random.default_rng(0).integers(20, 120, (12, 16, 1)), 40, axis=0), 40, axis=1)
+    for path in copy.folder.glob("frames/*.png"):
+        lit = np.repeat(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)[:, :, None], 3, axis=2) * np.array([0.05, 0.1, 1.0])
+        cv2.imwrite(str(path), np.clip(lit + shade, 0, 255).astype(np.uint8))  # grey things in white light
+    text = copy.capture.read_text(encoding="utf-8").replace('background = "off/*.png"\n', "")
+    copy.capture.write_text(text, encoding="utf-8")
+    rig = Rig.load(copy.rig)
+    assert rig.lasers["laser"].channel == "gray"
+    plain = scanning.run_scan(session.capture, rig).cloud
+    found = scanning.run_scan(copy.capture, rig).cloud
+    assert len(found) > 0.9 * len(plain)
+
+
+def test_frames_of_another_depth_are_refused(session, copy_of_session) -> None:
+    copy = copy_of_session()
+    path = copy.folder / "frames/07.png"
+    cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(np.uint16) * 257)
+    with pytest.raises(FileError, match=r"07\.png.*16 bit grey.*8 bit grey"):
+        scanning.run_scan(copy.capture, Rig.load(copy.rig))
 
 
 def test_numbers_from_file_names_leave_gaps(session, copy_of_session) -> None:

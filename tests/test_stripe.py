@@ -129,6 +129,27 @@ def test_shot_noise_is_not_taken_for_speckle_and_the_noise_is_learnt():
     assert rms(stripe.position - position) < 1.05 * bound(1.4, 120.0)
 
 
+def test_dark_lines_and_edges_tell_nothing_about_noise_and_speckle():
+    rng = np.random.default_rng(18)
+    position = 150.0 + 0.02 * np.arange(480)
+    light = profile(position, 1.2, 150.0, 300)
+    light[:150] = light[330:] = 0.0
+    light[150] *= 0.3  # the ends of the object cover a part of a line
+    light[329] *= 0.4
+    light[240] = 0.5 * (light[240] + np.roll(light[240], 4))
+    light[241:, 4:] = light[241:, :-4].copy()  # a step
+    stripe = extract(camera(light, rng), along="columns")
+    lit = np.arange(160, 235)
+    assert stripe.speckle == 0.0
+    assert stripe.noise is not None
+    assert 0.6 * GAIN < stripe.noise.gain_e < 1.7 * GAIN  # of 180 lines only
+    assert 0.9 * READ < stripe.noise.read_noise < 1.15 * READ
+    assert rms(stripe.position[lit] - position[lit]) < 1.2 * bound(1.2, 150.0)
+    assert 0.75 < rms((stripe.position - position)[lit] / stripe.sigma[lit]) < 1.3
+    dark = np.r_[np.arange(149), np.arange(331, 480)]
+    assert np.mean(stripe.reason[dark] == Reason.NO_LIGHT) > 0.99
+
+
 def test_the_noise_of_a_camera_is_known_from_a_few_frames():
     rng = np.random.default_rng(17)
     noise = estimate_noise([tilted(500, 0.2, 1.4, 150.0, rng)[1] for _ in range(4)], along="columns")
@@ -185,6 +206,23 @@ def test_a_stripe_cut_by_an_oblique_edge_is_left_out_or_doubted(lines_a_pixel):
     assert np.mean(np.isfinite(error[5:180])) > 0.99
 
 
+@pytest.mark.parametrize("step", [2.6, 3.2, 4.0])
+@pytest.mark.parametrize("neighbours", [True, False])
+def test_a_line_that_sees_two_surfaces_is_an_edge(step, neighbours):
+    rng = np.random.default_rng(20)
+    position = np.where(np.arange(200) < 100, 20.3, 20.3 + step)
+    light = profile(position, 1.2, 150.0, LENGTH)
+    light[100] = 0.5 * (light[99] + light[101])
+    light[:30] = profile(np.full(30, 15.0), 2.2, 90.0, LENGTH)  # a steeper surface is wider, and no edge but at its end
+    options = StripeOptions(gain_e=GAIN, read_noise=READ, speckle="off", neighbours=neighbours)
+    stripe = extract(camera(light, rng), along="columns", options=options)
+    assert stripe.reason[100] == Reason.EDGE
+    assert np.mean(stripe.reason[2:28] == Reason.RANGED) > 0.95
+    assert np.mean(stripe.reason[34:96] == Reason.RANGED) > 0.95
+    error = (stripe.position - position)[34:]
+    assert np.nanmax(np.abs(error)) < 5 * bound(1.2, 150.0)
+
+
 def test_the_peak_that_is_asked_for_is_taken():
     rng = np.random.default_rng(11)
     rows, length = 300, 200
@@ -232,6 +270,17 @@ def test_ridge_of_a_straight_stripe_is_quieter_than_one_line():
     position, image = tilted(600, 0.3, 1.5, 60.0, rng)
     ridge = extract(image, along="columns", options=StripeOptions(method="ridge", gain_e=GAIN, read_noise=READ))
     assert rms(ridge.position - position) < 0.8 * bound(1.5 * math.hypot(1, 0.3), 60.0)
+
+
+@pytest.mark.parametrize("method", ["gaussian", "ridge"])
+def test_no_phase_is_favoured_where_the_stripe_keeps_it(method):
+    rng = np.random.default_rng(19)
+    for phase in (-0.5, -0.25, 0.1, 0.4):
+        image = camera(profile(np.full(300, LENGTH / 2 + phase), 1.2, 150.0, LENGTH), rng)
+        options = StripeOptions(method=method, gain_e=GAIN, read_noise=READ, neighbours=False)
+        error = extract(image, along="columns", options=options).position - LENGTH / 2 - phase
+        assert abs(np.nanmean(error)) < 0.004
+        assert rms(error) < 1.05 * bound(1.2, 150.0)
 
 
 def test_threads_give_what_one_gives():
