@@ -40,7 +40,7 @@ MOST = 2, 6  # frames and lines, at most, from one point of a patch to the next
 GROWTH = 1.0, 1.0  # see `estimate_beam`; how far that may be wrong
 TELLING = 500.0  # a tenth of the variance, five times told: how much the widths of stripes are trusted
 BLUR_KNOWN = 0.15  # of the variance that spots show: how far the stripe's may differ
-SAMPLE = 4  # lines, of which one tells the beam
+SAMPLE = 8  # lines, of which one tells the beam
 BLUR = 0.36, 0.25  # px^2: a lens of half a pixel and the pixel's own 1/12; how far that may be wrong
 
 

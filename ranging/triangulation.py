@@ -64,35 +64,30 @@ def triangulate(
         the ray until it is back on it. ``sigma_cal`` adds, in quadrature, the ray's own uncertainty across itself and the
         sheet's along its normal, both over |n . d|.
     """
-    n = len(pixels)
-    points = np.full((n, 3), np.nan)
-    sigma, sigma_cal = np.full(n, np.nan), np.full(n, np.nan)
-    view, moved, slide, sheet = (np.full((n, 3), np.nan) for _ in range(4))
-    reason = np.full(n, Reason.NO_LIGHT, dtype=np.uint8)
-    rows = np.flatnonzero(np.isfinite(pixels).all(axis=1))
-    if len(rows) == 0:
-        return Triangulated(points, sigma, sigma_cal, reason, view, moved, slide, sheet)
-    seen = pixels[rows]
-    rays = camera.rays(seen)
+    known = np.isfinite(pixels[:, 0]) & np.isfinite(pixels[:, 1])
+    rays = camera.rays(pixels)
     ranged = laser.sheet.intersect(rays, min_incidence=min_incidence)
     if camera.model == "two-plane":
-        near = np.where(np.isfinite(ranged.points[:, 2]), ranged.points[:, 2], 0.0)
-        rays = camera.rays(seen, near=near)
+        rays = camera.rays(pixels, near=ranged.points[:, 2])
         ranged = laser.sheet.intersect(rays, min_incidence=min_incidence)
-    code = ranged.reason.copy()
-    inside = camera.volume.contains(ranged.points, margin=extrapolate)
-    code[(code == Reason.RANGED) & ~inside] = Reason.OUTSIDE_CALIBRATION
-    good = code == Reason.RANGED
-    reason[rows] = code
-    kept, found, x = rows[good], seen[good], ranged.points[good]
-    normal = laser.sheet.normal_at(x)
-    view[kept], sheet[kept] = rays.direction[good], normal
-    shift = camera.shift(found, x)
-    moved[kept], slide[kept] = shift[:, :, across], shift[:, :, 1 - across]
-    slope = np.abs(np.einsum("ni,ni->n", normal, view[kept]))
-    points[kept] = x
-    sigma[kept] = np.abs(np.einsum("ni,ni->n", normal, moved[kept])) * sigma_px[kept] / slope
+    points, view = ranged.points, rays.direction
+    reason = np.where(known, ranged.reason, Reason.NO_LIGHT).astype(np.uint8)
+    inside = camera.volume.contains(points, margin=extrapolate)
+    reason[(reason == Reason.RANGED) & ~inside] = Reason.OUTSIDE_CALIBRATION
+    lost = reason != Reason.RANGED
+    points[lost] = np.nan  # and with them all that follows from them
+    sheet = np.array(laser.sheet.normal_at(points))
+    shift = camera.shift(pixels, points)
+    moved, slide = shift[:, :, across], shift[:, :, 1 - across]
+    slope = np.abs(_dot(sheet, view))
+    sigma = np.abs(_dot(sheet, moved)) * sigma_px / slope
     # the ray's own uncertainty lies across depth: only its part along the sheet's normal moves the point
-    lateral = camera.sigma_at(found, x) * np.sqrt(np.maximum(1 - normal[:, 2] ** 2, 0))
-    sigma_cal[kept] = np.hypot(lateral, laser.sigma_at(x)) / slope
+    lateral = camera.sigma_at(pixels, points) * np.sqrt(np.maximum(1 - sheet[:, 2] ** 2, 0))
+    sigma_cal = np.hypot(lateral, laser.sigma_at(points)) / slope
+    for values in (view, sheet):
+        values[lost] = np.nan
     return Triangulated(points, sigma, sigma_cal, reason, view, moved, slide, sheet)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
