@@ -40,7 +40,7 @@ MOST = 2, 6  # frames and lines, at most, from one point of a patch to the next
 GROWTH = 1.0, 1.0  # see `estimate_beam`; how far that may be wrong
 TELLING = 500.0  # a tenth of the variance, five times told: how much the widths of stripes are trusted
 BLUR_KNOWN = 0.15  # of the variance that spots show: how far the stripe's may differ
-SAMPLE = 8  # lines, of which one tells the beam
+ENOUGH = 160  # lines of a frame that tell the beam and the footprint
 BLUR = 0.36, 0.25  # px^2: a lens of half a pixel and the pixel's own 1/12; how far that may be wrong
 
 
@@ -112,7 +112,7 @@ def slopes(lattice: Lattice, first: int, last: int, *, blur_px: float = math.nan
     asked = lattice.rows(first, last)
     course = follow(asked.position, asked.peak * asked.width)
     distance = np.linalg.norm(asked.points - asked.camera[:, None, :], axis=2)
-    some = slice(None, None, SAMPLE)
+    some = slice(None, None, max(1, asked.sigma.shape[1] // ENOUGH))
     known = blur_px**2, BLUR_KNOWN * blur_px**2
     beam = estimate_beam(
         table[:, some], asked.width[:, some], course[:, some, 0], distance[:, some], known if blur_px > 0.0 else BLUR
@@ -240,7 +240,7 @@ def footprint(found: Slopes, asked: Lattice, ranged: Bools) -> float:
     if found.moves and np.count_nonzero(seen) >= 50 and np.isfinite(normal[seen][:, 0]).mean() < 0.05:
         normal = np.broadcast_to(fit_plane(asked.points[seen]).normal, normal.shape)
     seen &= np.isfinite(normal[..., 0])
-    f, i = (place[::SAMPLE] for place in np.nonzero(seen))
+    f, i = (place[:: max(1, seen.shape[1] // ENOUGH)] for place in np.nonzero(seen))
     if len(f) == 0:
         return float("nan")
     n, moved, view = normal[f, i], asked.moved[f, i], asked.view[f, i]
