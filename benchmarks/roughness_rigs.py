@@ -97,8 +97,15 @@ fiducial_diameter = 3.75
         432.0,
         "step = 0.2\nstart = -17.0\nframes = 170",
     ),
+    "0.21 mm/px, stripe 0.35, speckle of 0.5": (
+        "speckle = 0.5\ngrain = 1.5\n",
+        [(-70, 15, 425, 30, 0.1, 1.75, 0), (-35, 15, 425, 30, 0.1, 3.5, 0), (0, 15, 425, 30, 0.05, 3.5, 0),
+         (35, 15, 425, 30, 0.05, 5.0, 0)],
+        432.0,
+        "step = 0.2\nstart = -17.0\nframes = 170",
+    ),
 }  # fmt: skip
-SEEDS = (1, 5, 8, 11)  # of each rig's first coupon
+SEEDS = (1, 5, 8, 11, 15)  # of each rig's first coupon
 MARGIN = 1.5  # mm from a coupon's border
 
 
@@ -122,7 +129,8 @@ class Coupon:
 
 def design(name: str) -> str:
     head, coupons, base, motion = RIGS[name]
-    head = head or RIGS["0.21 mm/px, stripe 0.35"][0]
+    if not head.startswith("[camera]"):  # the first rig, with something more about its laser
+        head = RIGS["0.21 mm/px, stripe 0.35"][0].replace("[jig]\n", f"{head}[jig]\n")
     grid = "rows = 15\ncolumns = 21\nfiducials = [[7, 10], [7, 12], [4, 10]]\n"
     objects = "".join(
         f'[[object]]\nsolid = "rough"\nsize = [{side}, {side}]\nSq = {sq}\ncorrelation = {length}\nseed = {seed}\n'
