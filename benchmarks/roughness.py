@@ -135,7 +135,9 @@ def _coverage(surfaces: dict[str, Array], full: dict[str, dict[str, float]], rng
                 p = found.areal[key]
                 if p.value is not None and p.uncertainty is not None and math.isfinite(value):
                     count += 1
-                    inside += abs(p.value - value) <= p.uncertainty
+                    off = abs(p.value - value)
+                    off = min(off, 180.0 - off) if key == "Std" else off  # directions of 0 and 180 degrees are one
+                    inside += off <= p.uncertainty
         cells.append(f"{inside} of {count}")
     print("| blocks: parameters of the full map within the stated k = 2 | " + " | ".join(cells) + " |")
 

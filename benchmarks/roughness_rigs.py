@@ -51,10 +51,12 @@ fiducial_diameter = 4.5
 size = [1280, 960]
 focal_px = 3500.0
 centre_px = [633.0, 488.0]
+distortion = [-0.15, 0.05, -0.0003, 0.0005, 0.0]
 blur_px = 0.7
 [laser]
 origin = [0.0, -90.0, 10.0]
 through = [0.0, 0.0, 200.0]
+roll = 1.5
 width = 0.08
 speckle = 0.1
 [jig]
@@ -76,6 +78,7 @@ distortion = [-0.15, 0.05, -0.0003, 0.0005, 0.0]
 [laser]
 origin = [0.0, -110.0, 10.0]
 through = [0.0, 0.0, 300.0]
+roll = 1.5
 width = 0.7
 [jig]
 stand_offs = [260, 285, 310, 335]
@@ -94,7 +97,15 @@ fiducial_diameter = 3.75
         432.0,
         "step = 0.2\nstart = -17.0\nframes = 170",
     ),
+    "0.21 mm/px, stripe 0.35, speckle of 0.5": (
+        "speckle = 0.5\ngrain = 1.5\n",
+        [(-70, 15, 425, 30, 0.1, 1.75, 0), (-35, 15, 425, 30, 0.1, 3.5, 0), (0, 15, 425, 30, 0.05, 3.5, 0),
+         (35, 15, 425, 30, 0.05, 5.0, 0)],
+        432.0,
+        "step = 0.2\nstart = -17.0\nframes = 170",
+    ),
 }  # fmt: skip
+SEEDS = (1, 5, 8, 11, 15)  # of each rig's first coupon
 MARGIN = 1.5  # mm from a coupon's border
 
 
@@ -118,12 +129,13 @@ class Coupon:
 
 def design(name: str) -> str:
     head, coupons, base, motion = RIGS[name]
-    head = head or RIGS["0.21 mm/px, stripe 0.35"][0]
+    if not head.startswith("[camera]"):  # the first rig, with something more about its laser
+        head = RIGS["0.21 mm/px, stripe 0.35"][0].replace("[jig]\n", f"{head}[jig]\n")
     grid = "rows = 15\ncolumns = 21\nfiducials = [[7, 10], [7, 12], [4, 10]]\n"
     objects = "".join(
         f'[[object]]\nsolid = "rough"\nsize = [{side}, {side}]\nSq = {sq}\ncorrelation = {length}\nseed = {seed}\n'
         f"origin = [{x}, {y}, {z}]\nrotation = [{180 + tilt}, 0.0, 0.0]\n"
-        for seed, (x, y, z, side, sq, length, tilt) in enumerate(coupons, 100 * list(RIGS).index(name))
+        for seed, (x, y, z, side, sq, length, tilt) in enumerate(coupons, SEEDS[list(RIGS).index(name)])
     )
     plane = f'[[object]]\nsolid = "plane"\norigin = [0.0, 0.0, {base}]\n'
     return f'format = 1\n{head}{grid}{objects}{plane}[motion]\nkind = "linear"\ndirection = [0, 1, 0]\n{motion}\n'

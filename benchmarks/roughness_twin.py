@@ -48,7 +48,7 @@ def main() -> None:
         "| twin coupon: Sq over that of the true heights on the scanned part (goal 0.99 to 1.01) | raw | noise out | k = 2 | noise floor, mm |"
     )
     print("| --- | --- | --- | --- | --- |")
-    for name, width in (("stripe width not told", math.nan), (f"stripe of {STRIPE} mm told", STRIPE)):
+    for name, width in (("stripe as the cloud tells it", math.nan), (f"a stripe of {STRIPE} mm", STRIPE)):
         found = measure_roughness(cloud, region=coupon, options=RoughnessOptions(stripe_width=width))
         local = coupon.local(found.heights.points[found.heights.known])
         true = map_coordinates(heights, [local[:, 1] * per_mm, local[:, 0] * per_mm], order=1)

@@ -38,7 +38,10 @@ def roughness(
         typer.Option("--noise", help="A repeat of the scan, best displaced by more than the stripe's width (.ply)."),
     ] = None,
     stripe_width: Annotated[
-        float | None, typer.Option("--stripe-width", min=0.0, help="One sigma of the stripe on the surface, mm.")
+        float | None,
+        typer.Option(
+            "--stripe-width", min=0.0, help="One sigma of the stripe on the surface, mm, in place of the cloud's own."
+        ),
     ] = None,
     pose: Annotated[
         Path | None,

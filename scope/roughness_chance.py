@@ -42,7 +42,7 @@ def chance(evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *,
         if len(values) < 0.5 * len(found):
             spread[name] = math.nan
         else:
-            spread[name] = float(np.sqrt((len(values) - 1) * np.mean((values - values.mean()) ** 2)))
+            spread[name] = few(len(values)) * float(np.sqrt((len(values) - 1) * np.mean((values - values.mean()) ** 2)))
     for name in ("Sp", "Sv", "Sz"):
         spread[name] = float(np.std([one[name] for one in extremes], ddof=1))
     for name, moved in _gap_spread(evidence, estimate_, rng).items():
@@ -52,6 +52,11 @@ def chance(evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *,
         centred = np.angle(turned / turned.mean()) / 2.0
         spread["Std"] = float(np.degrees(np.sqrt((len(turned) - 1) * np.mean(centred**2))))
     return spread
+
+
+def few(parts: int) -> float:
+    """Factor by which the spread over few parts is enlarged: the standard deviation of Student's t (JCGM 101, 6.4.9)."""
+    return math.sqrt((parts - 1.0) / (parts - 3.0)) if parts > 3 else math.inf
 
 
 def _gap_spread(

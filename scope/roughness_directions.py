@@ -10,6 +10,7 @@ import numpy as np
 from calibration.geometry import Array
 from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
+from scope.roughness_chance import few
 from scope.roughness_noise import Noise, added_noise
 from scope.roughness_profile import SECTIONS, Profiles, profile_parameters, roughness_profiles
 from scope.roughness_profile_noise import SCALED, Direction, Found
@@ -166,7 +167,7 @@ def _spread(direction: Direction, profiles: Profiles) -> dict[str, float]:
             spread[key] = math.nan
             continue
         variance = (len(values) - 1) * float(np.mean((values - values.mean()) ** 2))
-        spread[key] = math.sqrt(variance * max(1.0, blocks / independent))
+        spread[key] = few(len(values)) * math.sqrt(variance * max(1.0, blocks / independent))
     return spread
 
 
