@@ -23,7 +23,7 @@ _WHY = {
     "too_narrow": "a hot pixel or a glint, not a stripe",
     "too_wide": "a halo, a grazing or a scattered stripe",
     "saturated": "clipped over its whole width: expose shorter",
-    "two_peaks": "two stripes of like strength: a reflection; choose which with the stripe options",
+    "two_peaks": "two stripes of like strength: a reflection; --which chooses one",
     "edge": "half a stripe, at an occlusion or an edge",
     "out_of_view": "cut by the border of the image",
     "outside_calibration": "outside the calibrated volume: calibrate further, or --extrapolate",

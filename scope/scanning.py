@@ -22,7 +22,7 @@ from ranging.errors import RangingError
 from ranging.lattice import CONTEXT, Lattice, Seen
 from ranging.motion import Fixed, Linear, Motion, Turntable
 from ranging.spacetime import REACH, Exposure
-from ranging.stripe import Method, Stripe, StripeOptions, extract
+from ranging.stripe import Method, Stripe, StripeOptions, Which, extract
 from ranging.triangulation import triangulate
 from scope.capture import Capture, StageUse, read_capture
 from scope.cloud import ScanCloud, Sensors, quaternion_from_rotation
@@ -53,6 +53,7 @@ class ScanOptions:
 def scan_options(
     *,
     method: Method = "auto",
+    which: Which = "strongest",
     normals: bool = False,
     max_sigma: float | None = None,
     extrapolate: float = 0.0,
@@ -62,7 +63,7 @@ def scan_options(
 ) -> ScanOptions:
     """Options of a scan as the command line gives them."""
     return ScanOptions(
-        StripeOptions(method=method), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals,
+        StripeOptions(method=method, which=which), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals,
         filters=FilterOptions(isolated=isolated, max_incidence=max_incidence, voxel=voxel),
     )  # fmt: skip
 
