@@ -26,7 +26,8 @@ def scan(
     out: Annotated[Path, typer.Option("--out", "-o", help="Point cloud, mm.")] = Path("cloud.ply"),
     method: Annotated[Method, typer.Option("--method", help="How the stripe is measured.")] = "auto",
     which: Annotated[
-        Which, typer.Option("--which", help="Of several peaks on a line, along u or v; continuous: with the lines about it.")
+        Which,
+        typer.Option("--which", help="Of several peaks on a line, along u or v; continuous: with the lines about it."),
     ] = "strongest",
     normals: Annotated[bool, typer.Option("--normals", help="Add surface normals from the scan lattice.")] = False,
     max_sigma: Annotated[

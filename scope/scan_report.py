@@ -12,6 +12,7 @@ import numpy as np
 from ranging.background import choose_channel, to_gray
 from scope import pictures
 from scope.capture import read_capture
+from scope.cloud import ScanCloud
 from scope.images import read_image
 from scope.lasers_agree import Agreement
 from scope.mesh import lattice_index
@@ -93,7 +94,7 @@ def scan_page(found: Scan, capture: str | Path) -> str:
     page.cloud(
         cloud.points, cloud.points[:, 2], "The cloud, coloured by z. Drag to turn, wheel to zoom, shift-drag to move"
     )
-    add_views(page, found)
+    add_views(page, cloud)
     page.heading("Lines of the images without a point, and why")
     lines = max(1, sum(found.rejected.values()) + found.points + sum(found.filtered.values()))
     page.table(
@@ -110,20 +111,24 @@ def scan_page(found: Scan, capture: str | Path) -> str:
         page.heading("Where two lasers see one surface")
         for pair in found.agreement:
             page.text(f"{pair.first} and {pair.second}: {_agreement_text(pair)}.")
+    add_uncertainty(page, cloud)
+    _add_hard_frames(page, found, Path(capture))
+    return page.html()
+
+
+def add_uncertainty(page: Page, cloud: ScanCloud) -> None:
+    """Add quantiles of both sigmas of a cloud."""
     page.heading("Uncertainty")
     quantiles = [10, 50, 90, 99]
     page.table(("mm along the ray", *(f"{q} %" for q in quantiles)), [
         ["sigma: stripe noise, independent from point to point", *(f"{x:.4f}" for x in np.percentile(cloud.sigma, quantiles))],
         ["sigma_cal: calibration, shared", *(f"{x:.4f}" for x in np.percentile(cloud.sigma_cal, quantiles))],
     ])  # fmt: skip
-    _add_hard_frames(page, found, Path(capture))
-    return page.html()
 
 
-def add_views(page: Page, found: Scan) -> None:
+def add_views(page: Page, cloud: ScanCloud) -> None:
     """Pictures of the cloud from above and from the side, and the map of its sigma in the order of the scan."""
     x, y, z = np.eye(3)
-    cloud = found.cloud
     if len(cloud) == 0:
         return
     page.image(pictures.cloud_from(cloud.points, cloud.points[:, 2], x, y), "seen along z, coloured by z", width=430)
