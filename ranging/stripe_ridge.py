@@ -53,7 +53,9 @@ def ridge_lines(
             if not 0.0 <= position < length:
                 break
             centre = int(position + 0.5)
-            for k in range(size):  # about the position itself: one step from the middle of a pixel errs by up to 0.05 px
+            for k in range(
+                size
+            ):  # about the position itself: one step from the middle of a pixel errs by up to 0.05 px
                 u = (k - reach + centre - position) / scale
                 c0[k] = math.exp(-0.5 * u * u) / (scale * 2.5066282746310002)
                 c1[k] = u / scale * c0[k]
