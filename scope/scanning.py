@@ -16,7 +16,7 @@ from calibration.geometry import Array
 from calibration.laser import Laser
 from calibration.reason import Reason
 from calibration.rig import Rig
-from ranging.background import Channel, choose_channel, mean_image, saturation_level, to_gray
+from ranging.background import Channel, choose_channel, clipping_level, mean_image, saturation_level, to_gray
 from ranging.edges import refine
 from ranging.errors import RangingError
 from ranging.lattice import CONTEXT, Lattice, Seen
@@ -194,6 +194,8 @@ class Plan:
         centre = centre_of(rig.camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)))
         # where the object moves, frames are compared with each other: a better judge than a frame's own lines
         stripe = replace(options.stripe, neighbours=options.stripe.neighbours and not isinstance(motion, Linear))
+        if stripe.saturation is None and sample:
+            stripe = replace(stripe, saturation=clipping_level(sample))
         plan = cls(
             capture,
             rig,
