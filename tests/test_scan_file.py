@@ -43,7 +43,7 @@ def test_a_scan_that_failed_goes_on_to_the_same_cloud(
     try:
         spoiled.unlink()
         spoiled.write_bytes(b"")  # vanishes while scanning
-        with pytest.raises(FileError, match=r"040\.png.*0 bytes"):
+        with pytest.raises(FileError, match=r"040\.png.*0 bytes.*26 frames are kept.*--resume"):
             scan_to_file(long_capture, session.rig, tmp_path / "cloud.ply", options)
     finally:
         spoiled.write_bytes(kept)
