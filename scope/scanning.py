@@ -37,6 +37,13 @@ FIRST = 2  # the same, of the first, so that points are seen at once
 CROSSING = 4.0  # widths (one sigma) of both stripes between their middles, within which they disturb each other
 SAMPLE = 3  # frames that tell the channel and the noise of the camera
 Tick = Callable[[int, int], None]
+_REMEDIES = {  # by the reason that most lines have
+    "outside_calibration": "bring the object into the calibrated volume, calibrate further, or give --extrapolate",
+    "saturated": "expose shorter, or close the iris",
+    "two_peaks": "keep reflections away, or choose one of several peaks with --which",
+    "uncertain": "give a larger --max-sigma, or expose longer",
+    "too_wide": "focus camera and laser: a stripe may be 6 px wide (one sigma)",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -370,10 +377,10 @@ class Plan:
         if not tally.frames:
             raise RangingError(f"{self.capture.path}: no frame came; check the camera or the video and scan again")
         reasons = ", ".join(f"{count} {reason}" for reason, count in tally.rejected.most_common(3))
+        most = tally.rejected.most_common(1)[0][0] if tally.rejected else ""
         raise RangingError(
-            f"{self.capture.path}: no point in any of {tally.frames} frames (lines without a point: {reasons}); check that "
-            "the laser is on, `channel`, exposure, and that the object is inside the calibrated volume (--extrapolate "
-            "ranges outside)"
+            f"{self.capture.path}: no point in any of {tally.frames} frames (lines without a point: {reasons}); "
+            f"{_REMEDIES.get(most, 'check that the laser is on, `channel`, exposure and focus')}"
         )
 
     def described(self, cloud: ScanCloud, why: str) -> ScanCloud:
