@@ -10,6 +10,7 @@ import typer
 from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, progress, say, user_errors
 
 Method = Literal["auto", "centroid", "gaussian", "ridge"]
+Which = Literal["strongest", "first", "last", "continuous"]
 
 
 def register(app: typer.Typer) -> None:
@@ -24,6 +25,10 @@ def scan(
     rig: Annotated[Path, typer.Option("--rig", "-r", help="Calibrated rig.")] = Path("rig.json"),
     out: Annotated[Path, typer.Option("--out", "-o", help="Point cloud, mm.")] = Path("cloud.ply"),
     method: Annotated[Method, typer.Option("--method", help="How the stripe is measured.")] = "auto",
+    which: Annotated[
+        Which,
+        typer.Option("--which", help="Of several peaks on a line, along u or v; continuous: with the lines about it."),
+    ] = "strongest",
     normals: Annotated[bool, typer.Option("--normals", help="Add surface normals from the scan lattice.")] = False,
     max_sigma: Annotated[
         float | None, typer.Option("--max-sigma", min=0.0, help="Reject points less certain than this, mm.")
@@ -61,7 +66,7 @@ def scan(
             require_folder(report)
         with progress("scanning", quiet=quiet) as tick:
             options = scan_options(
-                method=method, normals=normals, max_sigma=max_sigma, extrapolate=extrapolate, isolated=isolated,
+                method=method, which=which, normals=normals, max_sigma=max_sigma, extrapolate=extrapolate, isolated=isolated,
                 max_incidence=max_incidence, voxel=voxel,
             )  # fmt: skip
             found = scan_to_file(capture, rig, out, options, resume=resume, on_frame=tick)

@@ -1,4 +1,4 @@
-"""`scope export`."""
+"""`scope export` and `scope view`."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from typing import Annotated
 
 import typer
 
-from cli.console import Json, emit, user_errors
+from cli.console import Json, Quiet, emit, say, user_errors
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
     app.command()(export)
+    app.command()(view)
 
 
 def export(
@@ -27,3 +28,31 @@ def export(
         found = ScanCloud.load(cloud)
         found.save(out)
     emit({"points": len(found)}, as_json=as_json, text=f"wrote {len(found)} points to {out}")
+
+
+def view(
+    path: Annotated[Path, typer.Argument(help="cloud.ply or rig.json")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Keep the page here; otherwise it is a temporary file.")
+    ] = None,
+    show: Annotated[bool, typer.Option("--show/--no-show", help="Open the page in the browser.")] = True,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Look at a cloud or a rig in the browser."""
+    import tempfile
+    import webbrowser
+
+    from calibration.atomic import require_folder, write_text
+    from scope.view import view_page
+
+    with user_errors():
+        if out is not None:
+            require_folder(out)
+        html = view_page(path)
+        page = out or Path(tempfile.mkdtemp(prefix="scope-")) / f"{path.stem}.html"
+        write_text(page, html)
+    shown = show and webbrowser.open(page.resolve().as_uri())
+    if show and not shown:
+        say("no browser was found: open the page yourself", quiet=quiet)
+    emit({"page": str(page), "shown": shown}, as_json=as_json, text=f"{page}")

@@ -140,7 +140,20 @@ def saturation_level(dtype: Any) -> int:
     return int(np.iinfo(dtype).max)
 
 
-def typical_noise(dtype: Any) -> Noise:
-    """Assume a camera of 9,000 electrons at full scale with 40 electrons of read noise: where nothing better is known."""
-    scale = saturation_level(dtype) / 255.0
-    return Noise(gain_e=9000.0 / saturation_level(dtype), read_noise=1.2 * min(scale, 4.0))
+def clipping_level(images: Sequence[Image]) -> int:
+    """Value at which a camera clips, where images of 16 bits show that it has fewer: 10, 12 or 14, low or high in the word.
+
+    Clipped pixels are many and of one value, with few just below it. Where none are, the end of the depth is returned.
+    """
+    level = saturation_level(images[0].dtype)
+    top = max(int(image.max()) for image in images)
+    if level == 255 or top not in {((1 << bits) - 1) << shift for bits in (10, 12, 14) for shift in (0, 16 - bits)}:
+        return level
+    clipped = sum(int(np.count_nonzero(image == top)) for image in images)
+    close = sum(int(np.count_nonzero(image >= top - top // 64)) for image in images) - clipped
+    return top if clipped >= 16 and clipped > 2 * close else level
+
+
+def typical_noise(level: int) -> Noise:
+    """Assume a camera that clips at a ``level`` of 9,000 electrons, with 40 electrons of read noise: where nothing better is known."""
+    return Noise(gain_e=9000.0 / level, read_noise=1.2 * min(level / 255.0, 4.0))

@@ -133,7 +133,7 @@ def extract(
     )
     measure = _METHODS[options.method]
     noise = _known_noise(options)
-    guess = noise or typical_noise(image.dtype)
+    guess = noise or typical_noise(view.saturation)
     if options.which != "strongest":
         peaks[0] = _choose(view, options.which, _threshold(options, guess))
         peaks[2] = 0  # the choice is made: other peaks do not matter
@@ -206,7 +206,7 @@ def _learn(
     """Noise and speckle of this frame; ``table`` is improved by what they tell. Returns the noise and the contrast."""
     from ranging import stripe_speckle
 
-    guess = noise or typical_noise(view.pixels.dtype)
+    guess = noise or typical_noise(view.saturation)
     found = stripe_speckle.leftover(view.pixels, view.dark, view.layout, table, float(view.saturation))
     if found is None:
         return guess, 0.0

@@ -70,7 +70,7 @@ def judge(
         top, second = np.float64(peaks[1, i]), np.float64(peaks[2, i])
         code = RANGED
         if state == NO_PEAK or not peak >= threshold:
-            code = NO_LIGHT
+            code = SATURATED if top >= saturation else NO_LIGHT
         elif state == CUT:
             code = OUT_OF_VIEW
         elif state == NO_FLANK:
@@ -109,7 +109,7 @@ def darken(
     _, length, line_step, pixel_step = layout
     some = np.empty((length + COMB - 1) // COMB)
     for i in range(len(reason)):
-        if reason[i] == RANGED or reason[i] == NO_LIGHT:
+        if reason[i] == RANGED or reason[i] == NO_LIGHT or reason[i] == SATURATED:
             continue
         for k in range(len(some)):
             at = i * line_step + k * COMB * pixel_step

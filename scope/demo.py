@@ -287,7 +287,7 @@ def _page(calibration: Calibration, found: Scan, deviations: list[Deviation], sk
     page.cloud(
         found.cloud.points, found.cloud.points[:, 2], "coloured by z; drag to turn, wheel to zoom, shift-drag to move"
     )
-    add_views(page, found)
+    add_views(page, found.cloud)
     page.heading("From the images")
     seen = calibration.planes[0]
     page.image(

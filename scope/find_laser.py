@@ -12,8 +12,8 @@ from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array, Bools, Plane
 from calibration.laser import Laser, StripePoints, fit_laser
 from calibration.plane_map import PlaneMarks
-from ranging.background import choose_channel, to_gray
-from ranging.stripe import Along, Stripe, extract, find_along
+from ranging.background import choose_channel, clipping_level, to_gray
+from ranging.stripe import Along, Stripe, StripeOptions, extract, find_along
 from scope.calibration_file import CalibrationPlan, LaserPlan, PlanePlan
 from scope.images import Image, mean_image, read_alike, shape_text
 
@@ -87,9 +87,10 @@ def _fit(
     grays = [[to_gray(image, channel) for image in shot.images] for shot in shots]
     darks = [None if shot.background is None else to_gray(shot.background, channel) for shot in shots]
     along = _along([repeats[0] for repeats in grays], darks) if laser.along == "auto" else laser.along
+    options = StripeOptions(saturation=clipping_level([image for repeats in grays for image in repeats]))
     stripes, views = [], []
     for shot, repeats, dark in zip(shots, grays, darks, strict=True):
-        stripe, sigma = _averaged([extract(image, along=along, background=dark) for image in repeats])
+        stripe, sigma = _averaged([extract(image, along=along, options=options, background=dark) for image in repeats])
         keep = _on_target(stripe, shot.marks)
         if not keep.any():
             lit = int(np.isfinite(stripe).all(axis=1).sum())

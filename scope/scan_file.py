@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from calibration.atomic import require_folder, written_whole
-from calibration.errors import FileError
+from calibration.errors import FileError, ScopeError
 from calibration.rig import Rig, sha256_of
 from scope import ply
 from scope.capture import read_capture
@@ -69,6 +69,12 @@ def scan_to_file(
         why = plan.source.trouble
     except KeyboardInterrupt:
         why = plan.interrupted(tally)
+    except ScopeError as error:
+        if tally.points and stream is not None and not stream.closed:
+            raise type(error)(
+                f"{error}; {tally.frames} frames are kept in {part.name}: then go on with --resume"
+            ) from error
+        raise
     finally:
         if stream is not None:
             with suppress(OSError):  # what could not be written has been told

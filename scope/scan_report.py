@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,10 @@ import numpy as np
 
 from ranging.background import choose_channel, to_gray
 from scope import pictures
-from scope.capture import read_capture
-from scope.images import read_image
+from scope.capture import Capture, read_capture
+from scope.cloud import ScanCloud
+from scope.frames import open_source
+from scope.images import Image, read_image
 from scope.lasers_agree import Agreement
 from scope.mesh import lattice_index
 from scope.page import Page
@@ -23,7 +25,7 @@ _WHY = {
     "too_narrow": "a hot pixel or a glint, not a stripe",
     "too_wide": "a halo, a grazing or a scattered stripe",
     "saturated": "clipped over its whole width: expose shorter",
-    "two_peaks": "two stripes of like strength: a reflection; choose which with the stripe options",
+    "two_peaks": "two stripes of like strength: a reflection; --which chooses one",
     "edge": "half a stripe, at an occlusion or an edge",
     "out_of_view": "cut by the border of the image",
     "outside_calibration": "outside the calibrated volume: calibrate further, or --extrapolate",
@@ -93,7 +95,7 @@ def scan_page(found: Scan, capture: str | Path) -> str:
     page.cloud(
         cloud.points, cloud.points[:, 2], "The cloud, coloured by z. Drag to turn, wheel to zoom, shift-drag to move"
     )
-    add_views(page, found)
+    add_views(page, cloud)
     page.heading("Lines of the images without a point, and why")
     lines = max(1, sum(found.rejected.values()) + found.points + sum(found.filtered.values()))
     page.table(
@@ -110,20 +112,24 @@ def scan_page(found: Scan, capture: str | Path) -> str:
         page.heading("Where two lasers see one surface")
         for pair in found.agreement:
             page.text(f"{pair.first} and {pair.second}: {_agreement_text(pair)}.")
+    add_uncertainty(page, cloud)
+    _add_hard_frames(page, found, Path(capture))
+    return page.html()
+
+
+def add_uncertainty(page: Page, cloud: ScanCloud) -> None:
+    """Add quantiles of both sigmas of a cloud."""
     page.heading("Uncertainty")
     quantiles = [10, 50, 90, 99]
     page.table(("mm along the ray", *(f"{q} %" for q in quantiles)), [
         ["sigma: stripe noise, independent from point to point", *(f"{x:.4f}" for x in np.percentile(cloud.sigma, quantiles))],
         ["sigma_cal: calibration, shared", *(f"{x:.4f}" for x in np.percentile(cloud.sigma_cal, quantiles))],
     ])  # fmt: skip
-    _add_hard_frames(page, found, Path(capture))
-    return page.html()
 
 
-def add_views(page: Page, found: Scan) -> None:
+def add_views(page: Page, cloud: ScanCloud) -> None:
     """Pictures of the cloud from above and from the side, and the map of its sigma in the order of the scan."""
     x, y, z = np.eye(3)
-    cloud = found.cloud
     if len(cloud) == 0:
         return
     page.image(pictures.cloud_from(cloud.points, cloud.points[:, 2], x, y), "seen along z, coloured by z", width=430)
@@ -149,23 +155,31 @@ def add_views(page: Page, found: Scan) -> None:
 def _add_hard_frames(page: Page, found: Scan, capture: Path) -> None:
     """Show the frames with the fewest points beside their neighbours, with the stripe drawn on them."""
     plan = read_capture(capture)
-    images = plan.images[::2] if plan.background_mode == "alternate" else plan.images
-    if not images:
-        return
+    if not plan.images and plan.video is None:
+        return  # a camera's frames are gone
     cloud = found.cloud
-    numbers = np.arange(len(images)) if plan.numbers is None else np.array(plan.numbers)
+    numbers = np.arange(found.frames) if plan.numbers is None else np.array(plan.numbers[: found.frames])
     count = np.bincount(cloud.frame, minlength=int(numbers.max()) + 1)[numbers]
     page.heading("Hardest frames (fewest points, least certain), and a typical one")
-    order = np.argsort(count[: found.frames], kind="stable")
+    order = np.argsort(count, kind="stable")
     doubt = np.bincount(cloud.frame, cloud.sigma, int(numbers.max()) + 1)[numbers] / np.maximum(count, 1)
-    chosen = [
-        *order[:2].tolist(),
-        *np.argsort(-doubt[: found.frames], kind="stable")[:2].tolist(),
-        int(order[len(order) // 2]),
-    ]
-    for k in dict.fromkeys(chosen):
-        image = read_image(images[k])
+    chosen = [*order[:2].tolist(), *np.argsort(-doubt, kind="stable")[:2].tolist(), int(order[len(order) // 2])]
+    for k, name, image in _frames(plan, list(dict.fromkeys(chosen))):
         shown = to_gray(image, choose_channel([image], plan.channel))
         pixels = cloud.pixels[cloud.frame == numbers[k]].astype(np.float64)
-        caption = f"{images[k].name}: {count[k]} points, mean sigma {doubt[k]:.4f} mm"
+        caption = f"{name}: {count[k]} points, mean sigma {doubt[k]:.4f} mm"
         page.image(pictures.with_stripe(shown, pixels), caption, width=430)
+
+
+def _frames(plan: Capture, wanted: list[int]) -> Iterator[tuple[int, str, Image]]:
+    """Position, name and image of some frames: of a folder in the order wanted, of a video in its own."""
+    if plan.images:
+        images = plan.images[::2] if plan.background_mode == "alternate" else plan.images
+        for k in wanted:
+            yield k, images[k].name, read_image(images[k])
+        return
+    for k, load in enumerate(open_source(plan).loaders(0)):
+        if k in wanted and (frame := load()) is not None:
+            yield k, frame.name, frame.image
+        if k == max(wanted):
+            break

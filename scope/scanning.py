@@ -16,13 +16,13 @@ from calibration.geometry import Array
 from calibration.laser import Laser
 from calibration.reason import Reason
 from calibration.rig import Rig
-from ranging.background import Channel, choose_channel, mean_image, saturation_level, to_gray
+from ranging.background import Channel, choose_channel, clipping_level, mean_image, saturation_level, to_gray
 from ranging.edges import refine
 from ranging.errors import RangingError
 from ranging.lattice import CONTEXT, Lattice, Seen
 from ranging.motion import Fixed, Linear, Motion, Turntable
 from ranging.spacetime import REACH, Exposure
-from ranging.stripe import Method, Stripe, StripeOptions, extract
+from ranging.stripe import Method, Stripe, StripeOptions, Which, extract
 from ranging.triangulation import triangulate
 from scope.capture import Capture, StageUse, read_capture
 from scope.cloud import ScanCloud, Sensors, quaternion_from_rotation
@@ -37,6 +37,13 @@ FIRST = 2  # the same, of the first, so that points are seen at once
 CROSSING = 4.0  # widths (one sigma) of both stripes between their middles, within which they disturb each other
 SAMPLE = 3  # frames that tell the channel and the noise of the camera
 Tick = Callable[[int, int], None]
+_REMEDIES = {  # by the reason that most lines have
+    "outside_calibration": "bring the object into the calibrated volume, calibrate further, or give --extrapolate",
+    "saturated": "expose shorter, or close the iris",
+    "two_peaks": "keep reflections away, or choose one of several peaks with --which",
+    "uncertain": "give a larger --max-sigma, or expose longer",
+    "too_wide": "focus camera and laser: a stripe may be 6 px wide (one sigma)",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +60,7 @@ class ScanOptions:
 def scan_options(
     *,
     method: Method = "auto",
+    which: Which = "strongest",
     normals: bool = False,
     max_sigma: float | None = None,
     extrapolate: float = 0.0,
@@ -62,7 +70,7 @@ def scan_options(
 ) -> ScanOptions:
     """Options of a scan as the command line gives them."""
     return ScanOptions(
-        StripeOptions(method=method), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals,
+        StripeOptions(method=method, which=which), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals,
         filters=FilterOptions(isolated=isolated, max_incidence=max_incidence, voxel=voxel),
     )  # fmt: skip
 
@@ -193,6 +201,8 @@ class Plan:
         centre = centre_of(rig.camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)))
         # where the object moves, frames are compared with each other: a better judge than a frame's own lines
         stripe = replace(options.stripe, neighbours=options.stripe.neighbours and not isinstance(motion, Linear))
+        if stripe.saturation is None and sample:
+            stripe = replace(stripe, saturation=clipping_level(sample))
         plan = cls(
             capture,
             rig,
@@ -373,10 +383,10 @@ class Plan:
         if not tally.frames:
             raise RangingError(f"{self.capture.path}: no frame came; check the camera or the video and scan again")
         reasons = ", ".join(f"{count} {reason}" for reason, count in tally.rejected.most_common(3))
+        most = tally.rejected.most_common(1)[0][0] if tally.rejected else ""
         raise RangingError(
-            f"{self.capture.path}: no point in any of {tally.frames} frames (lines without a point: {reasons}); check that "
-            "the laser is on, `channel`, exposure, and that the object is inside the calibrated volume (--extrapolate "
-            "ranges outside)"
+            f"{self.capture.path}: no point in any of {tally.frames} frames (lines without a point: {reasons}); "
+            f"{_REMEDIES.get(most, 'check that the laser is on, `channel`, exposure and focus')}"
         )
 
     def described(self, cloud: ScanCloud, why: str, tally: Tally) -> ScanCloud:

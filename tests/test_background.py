@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ranging.background import choose_channel, mean_image, saturation_level, to_gray
+from ranging.background import choose_channel, clipping_level, mean_image, saturation_level, to_gray
 from ranging.errors import RangingError
 
 
@@ -68,3 +68,16 @@ def test_mean_of_laser_off_images_rounds_and_refuses_mixtures():
 def test_saturation_is_the_end_of_the_depth():
     assert saturation_level(np.uint8) == 255
     assert saturation_level(np.uint16) == 65535
+
+
+@pytest.mark.parametrize(("bits", "shift"), [(10, 0), (12, 0), (12, 4), (14, 0)])
+def test_cameras_of_10_to_14_bits_clip_below_the_end_of_their_files(bits: int, shift: int) -> None:
+    rng = np.random.default_rng(3)
+    full = (1 << bits) - 1
+    light = 1.6 * full * np.exp(-0.5 * ((np.arange(64) - 31.3) / 2.0) ** 2) * np.ones((200, 1))
+    noisy = np.rint(light + rng.normal(0.0, 0.004 * full, light.shape))
+    image = (np.clip(noisy, 0, full).astype(np.uint16) << shift).astype(np.uint16)
+    assert clipping_level([image, image // 2]) == full << shift
+    dim = (np.clip(noisy * 0.4, 0, full).astype(np.uint16) << shift).astype(np.uint16)
+    assert clipping_level([dim]) == 65535
+    assert clipping_level([(image >> (bits + shift - 8)).astype(np.uint8)]) == 255

@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.geometry import Pose
 from calibration.laser import Laser
+from calibration.pinhole import PinholeCamera
 from calibration.rig import Rig
 from calibration.sheet import CurvedSheet, SheetFrame
 from calibration.two_plane import TwoPlaneCamera
+from calibration.volume import Volume
 from ranging.covariance import propagate
 from ranging.triangulation import triangulate
 from scope.cloud import ScanCloud
@@ -80,6 +83,28 @@ def test_the_jacobian_is_that_of_differences(rig: Rig, shape: str) -> None:
             ranged(moved_camera(camera, sign * step[:own]), moved_laser(laser, sign * step[own:])) for sign in (1, -1)
         )
         np.testing.assert_allclose(found.jacobian[:, :, k], (ahead - behind) / 2e-3, rtol=2e-3, atol=2e-4)
+
+
+def test_a_pinhole_moves_by_its_intrinsics(rig: Rig) -> None:
+    matrix = np.array([[700.0, 0.0, 322.0], [0.0, 705.0, 236.0], [0.0, 0.0, 1.0]])
+    spread = np.diag([0.2, 0.2, 0.3, 0.3, 1e-3, 1e-3, 1e-4, 1e-4, 0.0]) ** 2
+    pose = Pose.from_rotation_vector([0.02, -0.05, 0.3], [3.0, -2.0, 5.0])
+    camera = PinholeCamera(
+        matrix, np.array([-0.12, 0.03, 0.0, 0.0, 0.0]), pose, (640, 480), Volume.everywhere(), spread, 0.02
+    )
+    laser = rig.lasers["laser"]
+    rng = np.random.default_rng(5)
+    seen = np.stack([rng.uniform(60, 580, 20), rng.uniform(180, 330, 20)], axis=1)
+    points = triangulate(camera, laser, seen, np.full(20, 0.02), 1).points
+    found = propagate(camera, laser, seen, points, np.full(20, 0.02), 1, jacobian=True)
+    assert found.jacobian is not None
+    for k, (i, j) in enumerate([(0, 0), (1, 1), (0, 2), (1, 2)]):
+        moved = []
+        for sign in (1, -1):
+            other = matrix.copy()
+            other[i, j] += sign * 0.1
+            moved.append(triangulate(replace(camera, matrix=other), laser, seen, np.full(20, 0.02), 1).points)
+        np.testing.assert_allclose(found.jacobian[:, :, k], (moved[0] - moved[1]) / 0.2, rtol=2e-3, atol=2e-4)
 
 
 def test_along_the_ray_it_says_what_the_cloud_says(rig: Rig, cloud: ScanCloud) -> None:

@@ -43,7 +43,7 @@ def test_a_scan_that_failed_goes_on_to_the_same_cloud(
     try:
         spoiled.unlink()
         spoiled.write_bytes(b"")  # vanishes while scanning
-        with pytest.raises(FileError, match=r"040\.png.*0 bytes"):
+        with pytest.raises(FileError, match=r"040\.png.*0 bytes.*26 frames are kept.*--resume"):
             scan_to_file(long_capture, session.rig, tmp_path / "cloud.ply", options)
     finally:
         spoiled.write_bytes(kept)
@@ -178,6 +178,22 @@ def test_frames_in_colour_are_read_in_the_colour_of_the_line_though_the_rig_know
     plain = scanning.run_scan(session.capture, rig).cloud
     found = scanning.run_scan(copy.capture, rig).cloud
     assert len(found) > 0.9 * len(plain)
+
+
+def test_the_report_of_a_video_shows_its_hard_frames(session, copy_of_session, tmp_path: Path) -> None:
+    copy = copy_of_session()
+    out = cv2.VideoWriter(str(copy.folder / "sweep.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (640, 480))
+    for k in range(12):
+        out.write(cv2.imread(str(session.folder / f"frames/{k:02d}.png")))
+    out.release()
+    text = copy.capture.read_text(encoding="utf-8").replace('images = "frames/*.png"', 'video = "sweep.avi"')
+    copy.capture.write_text(text.replace('background = "off/*.png"\n', ""), encoding="utf-8")
+    page = tmp_path / "scan.html"
+    done = CliRunner().invoke(
+        app, ["scan", str(copy.capture), "-r", str(copy.rig), "-o", str(tmp_path / "c.ply"), "--report", str(page)]
+    )
+    assert done.exit_code == 0
+    assert page.read_text(encoding="utf-8").count("sweep.avi frame ") >= 3
 
 
 def test_frames_of_another_depth_are_refused(session, copy_of_session) -> None:

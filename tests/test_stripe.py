@@ -206,6 +206,14 @@ def test_a_stripe_cut_by_an_oblique_edge_is_left_out_or_doubted(lines_a_pixel):
     assert np.mean(np.isfinite(error[5:180])) > 0.99
 
 
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_a_line_that_is_clipped_over_most_of_its_length_is_not_dark(share):
+    image = np.full((60, LENGTH), 255, np.uint8)
+    image[:, int(share * LENGTH) :] = 4
+    stripe = extract(image, along="columns", options=KNOWN)
+    assert (stripe.reason == Reason.SATURATED).all()
+
+
 @pytest.mark.parametrize("step", [2.6, 3.2, 4.0])
 @pytest.mark.parametrize("neighbours", [True, False])
 def test_a_line_that_sees_two_surfaces_is_an_edge(step, neighbours):
