@@ -42,7 +42,7 @@ _PEAK = """
 import resource, sys
 from pathlib import Path
 from scope.scan_file import scan_to_file
-from scope.scanning import ScanOptions
+from scope.scan_setup import ScanOptions
 found = scan_to_file(Path(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3]), ScanOptions())
 print(found.points, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """

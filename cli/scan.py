@@ -59,7 +59,7 @@ def scan(
     """Range every stripe image of a capture and write one point cloud."""
     from calibration.atomic import require_folder, write_text
     from scope.scan_file import scan_to_file  # and no more of scope: the first point is there before the rest is loaded
-    from scope.scanning import scan_options
+    from scope.scan_setup import scan_options
 
     with user_errors():
         if report is not None:

@@ -32,7 +32,7 @@ _HOMES = {
     "Roughness": "scope.roughness",
     "RoughnessOptions": "scope.roughness",
     "ScanCloud": "scope.cloud",
-    "ScanOptions": "scope.scanning",
+    "ScanOptions": "scope.scan_setup",
     "ScopeError": "calibration.errors",
     "StripeOptions": "ranging.stripe",
     "calibrate": "scope.calibrating",

@@ -18,7 +18,8 @@ from scope.calibration_report import (
 from scope.demo import demo_text, run_demo
 from scope.scan_file import scan_to_file
 from scope.scan_report import scan_page, scan_result, scan_text
-from scope.scanning import ScanOptions, run_scan, scan, scan_options
+from scope.scan_setup import ScanOptions, scan_options
+from scope.scanning import run_scan, scan
 from scope.tally import Scan
 from scope.templates import TEMPLATES, write_template
 from scope.verifying import check_plane, verify

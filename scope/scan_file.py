@@ -26,7 +26,8 @@ from scope import ply
 from scope.capture import read_capture
 from scope.cloud import ScanCloud
 from scope.files import SENSOR, VERTEX, comments, require_format, sensor_records, vertex_records
-from scope.scanning import Plan, ScanOptions, joined
+from scope.scan_setup import ScanOptions
+from scope.scanning import Plan, joined
 from scope.tally import Chunk, Footprint, Scan, Tally
 
 _LONGEST = 1 << 16  # bytes of a line of JSON

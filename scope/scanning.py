@@ -16,20 +16,21 @@ from calibration.geometry import Array
 from calibration.laser import Laser
 from calibration.reason import Reason
 from calibration.rig import Rig
-from ranging.background import Channel, choose_channel, clipping_level, mean_image, saturation_level, to_gray
+from ranging.background import Channel, clipping_level, mean_image, saturation_level, to_gray
 from ranging.edges import refine
 from ranging.errors import RangingError
 from ranging.lattice import CONTEXT, Lattice, Seen
-from ranging.motion import Fixed, Linear, Motion, Turntable
+from ranging.motion import Fixed, Linear, Motion
 from ranging.spacetime import REACH, Exposure
-from ranging.stripe import Method, Stripe, StripeOptions, Which, extract
+from ranging.stripe import Stripe, StripeOptions, extract
 from ranging.triangulation import triangulate
-from scope.capture import Capture, StageUse, read_capture
+from scope.capture import Capture, read_capture
 from scope.cloud import ScanCloud, Sensors, quaternion_from_rotation
-from scope.filters import FilterOptions, filtered
+from scope.filters import filtered
 from scope.frames import Frame, Source, in_order, open_source
 from scope.images import Image, read_alike, shape_text
 from scope.lasers_agree import Agreement, agreements
+from scope.scan_setup import ScanOptions, channel_of, check_size, lasers_of, motion_of, told_apart
 from scope.tally import Chunk, Footprint, Scan, Tally
 
 CHUNK = 24  # frames ranged at once
@@ -44,35 +45,6 @@ _REMEDIES = {  # by the reason that most lines have
     "uncertain": "give a larger --max-sigma, or expose longer",
     "too_wide": "focus camera and laser: a stripe may be 6 px wide (one sigma)",
 }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScanOptions:
-    """What a scan may be asked for."""
-
-    stripe: StripeOptions = field(default_factory=StripeOptions)
-    extrapolate: float = 0.0  # mm outside the calibrated volume that are still ranged
-    max_sigma: float | None = None  # mm; points less certain than this are rejected
-    normals: bool = False
-    filters: FilterOptions = field(default_factory=FilterOptions)
-
-
-def scan_options(
-    *,
-    method: Method = "auto",
-    which: Which = "strongest",
-    normals: bool = False,
-    max_sigma: float | None = None,
-    extrapolate: float = 0.0,
-    isolated: int | None = None,
-    max_incidence: float | None = None,
-    voxel: float | None = None,
-) -> ScanOptions:
-    """Options of a scan as the command line gives them."""
-    return ScanOptions(
-        StripeOptions(method=method, which=which), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals,
-        filters=FilterOptions(isolated=isolated, max_incidence=max_incidence, voxel=voxel),
-    )  # fmt: skip
 
 
 def _no_tick(_done: int, _total: int) -> None:
@@ -180,21 +152,21 @@ class Plan:
             raise FileError(
                 f"{capture.path}: camera_id {capture.camera_id!r}, the rig is of {rig.camera_id!r}; use the rig of this camera"
             )
-        lasers = _lasers(capture, rig)
-        motion = _motion(capture, rig)
+        lasers = lasers_of(capture, rig)
+        motion = motion_of(capture, rig)
         source = open_source(capture)
         frames = source.sample(SAMPLE)
         sample = [frame.image for frame in frames]
         for frame in frames:
-            _check_size(frame.image, capture, rig, frame.name)
+            check_size(frame.image, capture, rig, frame.name)
         has_dark = capture.background_mode != "none"
-        channels = tuple(_channel(capture, laser, sample, has_dark) for laser in lasers)
+        channels = tuple(channel_of(capture, laser, sample, has_dark) for laser in lasers)
         if len(lasers) > 1 and capture.sequence == "together":
-            channels = _told_apart(capture, lasers, channels)
+            channels = told_apart(capture, lasers, channels)
         darks: tuple[Image | None, ...] = (None,) * len(lasers)
         if capture.background_mode == "mean":
             images = read_alike(capture.background, "the background")
-            _check_size(images[0], capture, rig)
+            check_size(images[0], capture, rig)
             darks = tuple(mean_image([to_gray(image, channel) for image in images]) for channel in channels)
         width, height = rig.camera.size
         u, v = np.meshgrid(np.linspace(0.1, 0.9, 9) * width, np.linspace(0.1, 0.9, 9) * height)
@@ -272,7 +244,7 @@ class Plan:
 
     def _extract(self, frame: Frame) -> tuple[int, list[_Taken]]:
         """Stripes of one frame, by laser; runs in a thread."""
-        _check_size(frame.image, self.capture, self.rig, frame.name)
+        check_size(frame.image, self.capture, self.rig, frame.name)
         like = self.like
         if like is not None and (frame.image.dtype != like.dtype or frame.image.ndim != like.ndim):
             raise FileError(
@@ -458,35 +430,6 @@ def joined(parts: list[ScanCloud]) -> ScanCloud:
     return whole.select(np.lexsort((whole.laser, whole.frame)))
 
 
-def _lasers(capture: Capture, rig: Rig) -> tuple[Laser, ...]:
-    if not rig.lasers:
-        raise FileError(f"{capture.path}: the rig has no laser; calibrate with laser images on its planes")
-    wanted = capture.lasers if capture.lasers is not None else tuple(rig.lasers)
-    for name in wanted:
-        if name not in rig.lasers:
-            raise FileError(f"{capture.path}: lasers names {name!r}; the rig has {', '.join(rig.lasers)}: correct it")
-    return tuple(rig.lasers[name] for name in wanted)
-
-
-def _channel(capture: Capture, laser: Laser, sample: list[Image], has_dark: bool) -> Channel:
-    asked = capture.channel if capture.channel != "auto" else laser.channel.partition("-")[0]
-    if capture.channel == "auto" and asked == "gray":  # calibrated without colours, which says nothing of these images
-        asked = "auto"
-    return choose_channel(sample, asked, laser_off=has_dark) if sample else asked  # type: ignore[arg-type, return-value]
-
-
-def _told_apart(capture: Capture, lasers: tuple[Laser, ...], channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
-    """Channels of lasers that shine at once: each colour's excess, so that one line does not show in the other's image."""
-    colours = [channel.partition("-")[0] for channel in channels]
-    if len(set(colours)) < len(colours) or {"gray", "auto"} & set(colours):
-        told = ", ".join(f"{laser.name} is read in {colour}" for laser, colour in zip(lasers, colours, strict=True))
-        raise FileError(
-            f"{capture.path}: {told}: lasers that shine together are told apart by colour; give each [laser.NAME] a channel "
-            'of its own at calibration, scan one at a time (lasers), or take turns (sequence = "cycle")'
-        )
-    return tuple(f"{colour}-excess" for colour in colours)  # type: ignore[misc]
-
-
 def _uncross(found: list[Stripe]) -> None:
     """Strike out the lines on which two stripes cross: there each takes light away from the other."""
     for i, a in enumerate(found):
@@ -495,27 +438,3 @@ def _uncross(found: list[Stripe]) -> None:
                 close = np.abs(a.position - b.position) < CROSSING * (a.width + b.width)
                 for stripe in (a, b):
                     stripe.position[close], stripe.reason[close] = np.nan, Reason.TWO_PEAKS
-
-
-def _check_size(image: Image, capture: Capture, rig: Rig, name: str = "its images") -> None:
-    width, height = rig.camera.size
-    if image.shape[:2] != (height, width):
-        raise FileError(
-            f"{capture.path}: {name}: {shape_text(image)}; the rig was calibrated at {width} x {height} px: use the camera "
-            "settings of the calibration, or the rig of this camera"
-        )
-
-
-def _motion(capture: Capture, rig: Rig) -> Motion:
-    use = capture.motion
-    if not isinstance(use, StageUse):
-        return use
-    for stage in rig.stages:
-        if stage.kind == use.kind:
-            if use.kind == "linear":
-                return Linear(stage.direction, use.positions, use.sign)
-            return Turntable(stage.point, stage.direction, use.positions, use.sign)
-    raise FileError(
-        f"{capture.path}: motion asks for the rig's {use.kind} stage, and the rig has none; add a [[stage]] to "
-        "calibration.toml, or give the direction or axis here"
-    )

@@ -18,7 +18,7 @@ from scope import scanning
 from scope.capture import read_capture
 from scope.cloud import ScanCloud
 from scope.scan_file import scan_to_file
-from scope.scanning import ScanOptions
+from scope.scan_setup import ScanOptions
 
 
 @pytest.fixture(scope="module")
