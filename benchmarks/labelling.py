@@ -181,8 +181,8 @@ def main() -> None:
     sets = int(sys.argv[1]) if len(sys.argv) > 1 else 10000
     kinds = (
         ("all fiducials seen, any rotation, mirrored or not, partial views", {}, sets),
-        ("no fiducials, whole grid in view", {"fiducials": False}, sets // 5),
-        ("fiducials may be among the missing", {"lose_fiducials": True}, sets // 5),
+        ("no fiducials, whole grid in view", {"fiducials": False}, sets // 10),
+        ("fiducials may be among the missing", {"lose_fiducials": True}, sets // 10),
     )
     print("| simulated sets | number | wrong | labelled | the rest |")
     print("| --- | --- | --- | --- | --- |")
