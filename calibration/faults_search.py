@@ -73,8 +73,9 @@ class Evidence:
     def tempered(self, scatter: Array) -> Evidence:
         """The same where every plane scatters by ``scatter`` (7,) of each mode, one sigma, beside the noise."""
         spread = self.b * np.tile(scatter, self.planes)
-        lower = np.linalg.cholesky(np.eye(len(self.z)) + spread @ spread.T)
-        return Evidence(np.linalg.solve(lower, self.z), np.linalg.solve(lower, self.b), self.planes)
+        u, s, _ = np.linalg.svd(spread, full_matrices=False)  # no Cholesky: scatter may be a million times the noise
+        less = 1.0 - 1.0 / np.sqrt(1.0 + s**2)
+        return Evidence(self.z - (u * less) @ (u.T @ self.z), self.b - (u * less) @ (u.T @ self.b), self.planes)
 
     def fit(self, hypotheses: Sequence[Hypothesis]) -> Explained:
         """Least squares of some hypotheses together."""
@@ -242,8 +243,9 @@ def _scatter(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> Array:
     variance = np.zeros(len(JITTER))
 
     def minus_log_likelihood(v: Array) -> float:
-        lower = np.linalg.cholesky(np.eye(len(z)) + sum(x * o for x, o in zip(v, outer, strict=True)))
-        return float(2 * np.log(np.diag(lower)).sum() + (np.linalg.solve(lower, z) ** 2).sum())
+        values, vectors = np.linalg.eigh(np.eye(len(z)) + sum(x * o for x, o in zip(v, outer, strict=True)))
+        values = np.maximum(values, 1.0)
+        return float(np.log(values).sum() + ((vectors.T @ z) ** 2 / values).sum())
 
     for _ in range(3):
         for k, group in enumerate(JITTER):
@@ -259,23 +261,24 @@ def _scatter(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> Array:
     return scatter
 
 
-def alternatives(choice: Choice, one: Hypothesis) -> list[tuple[Hypothesis, Explained]]:
-    """Other hypotheses that explain the evidence about as well as ``one`` does, the other chosen ones kept.
+def alternatives(choice: Choice, own: tuple[Hypothesis, ...]) -> list[tuple[Hypothesis, Explained]]:
+    """Other hypotheses that explain the evidence about as well as ``own``, of one plane, the other chosen ones kept.
 
     A wrong stand-off and a wrong pitch of one plane differ by a slip only; so each is held against the other with a slip
     allowed.
     """
-    others = tuple(h for h in choice.hypotheses if h != one)
+    others = tuple(h for h in choice.hypotheses if h not in own)
     best = choice.evidence.fit(choice.hypotheses)
     taken = {h.plane for h in others}
+    kinds = {h.kind for h in own}
     found = []
     for h in singles(choice.evidence.planes):
-        if h == one or h.plane in taken:
+        if h in own or h.plane in taken:
             continue
-        if h.plane == one.plane and set(MODES_OF[one.kind]) <= set(MODES_OF[h.kind]):
+        if h.plane == own[0].plane and any(set(MODES_OF[one.kind]) <= set(MODES_OF[h.kind]) for one in own):
             continue  # a larger hypothesis that contains this one
         fit = choice.evidence.fit((*others, h))
-        if h.plane == one.plane and {h.kind, one.kind} == {"stand_off", "pitch"}:
+        if h.plane == own[0].plane and {h.kind} | (kinds - {"slip"}) == {"stand_off", "pitch"}:
             slipped = choice.evidence.fit((*others, h, Hypothesis(h.plane, "slip")))
             if slipped.gain > best.gain - ALIKE:
                 found.append((h, slipped))

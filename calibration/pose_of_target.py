@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import cv2
 import numpy as np
 
-from calibration.camera import Camera, centre_of
+from calibration.camera import centre_of
 from calibration.errors import CalibrationError
-from calibration.geometry import Pose, Rays
+from calibration.geometry import Array, Pose, Rays
 from calibration.plane_map import PlaneMarks
 
 
-def locate_target(camera: Camera, marks: PlaneMarks) -> PlaneMarks:
+class Sighting(Protocol):
+    """A camera, or a bare field of rays."""
+
+    def rays(self, pixels: Array) -> Rays:
+        """Sighting rays in C of pixels (N, 2) px."""
+        ...
+
+
+def locate_target(camera: Sighting, marks: PlaneMarks) -> PlaneMarks:
     """Marks of a freehand view with the pose that brings them nearest to their sighting rays.
 
     Starts from OpenCV's plane pose with the rays' nearest point as centre, and then minimises the distances between

@@ -60,7 +60,7 @@ def judge_jig(plan: CalibrationPlan, seen: list[SeenPlane], fit: TwoPlaneFit, la
                 heldout_mm=NAN if out is None else out.rms_mm,
             )
         )
-    faults = [*_labelling(seen), *_named(plan, fit), *_moved(seen)]
+    faults = [*_moved(seen), *_labelling(seen), *_named(plan, fit, seen)]
     between = [h.rms_mm for h in held if h.between]
     ray_mm = float(np.sqrt(np.mean(np.square(between)))) if between else NAN
     content = {"ray_mm": ray_mm, "order": fit.planes[0].map.terms, "model": fit.camera.model}
@@ -94,9 +94,17 @@ def _row(seen: SeenPlane, **figures: float) -> dict[str, Any]:
     }
 
 
-def _named(plan: CalibrationPlan, fit: TwoPlaneFit) -> list[dict[str, Any]]:
-    """Faults that the planes show against each other; ``remedy`` is a whole sentence that names plane, fault, size and what to do."""
+def _named(plan: CalibrationPlan, fit: TwoPlaneFit, seen: list[SeenPlane]) -> list[dict[str, Any]]:
+    """Faults that the planes show against each other; ``remedy`` is a whole sentence that names plane, fault, size and what to do.
+
+    Planes that are seen mirrored have their fault already and are left out.
+    """
     target = plan.target
+    mirrored = {s.plan.name for s in seen if s.mirrored}
+    planes = [m for m in fit.marks if m.name not in mirrored]
+    if len(planes) < 2:
+        return []
+    field = fit.joint.field if not mirrored else None
     lattice = Lattice(target.rows, target.columns, target.pitch) if isinstance(target, SpotGrid) else None
     return [
         {
@@ -110,7 +118,7 @@ def _named(plan: CalibrationPlan, fit: TwoPlaneFit) -> list[dict[str, Any]]:
             "mark": fault.mark,
             "remedy": fault.remedy,
         }
-        for fault in find_faults(fit.marks, field=fit.joint.field, lattice=lattice)
+        for fault in find_faults(planes, field=field, lattice=lattice)
     ]
 
 
