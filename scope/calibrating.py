@@ -20,7 +20,7 @@ from scope.calibration_file import CalibrationPlan, read_calibration
 from scope.find_laser import LaserView, find_lasers
 from scope.find_marks import SeenPlane, see_plane
 from scope.find_stage import find_stages
-from scope.verdict import Verdict, judge_freehand, judge_jig
+from scope.verdict import Dropped, Verdict, judge_freehand, judge_jig
 from scope.version import __version__
 
 Model = Literal["auto", "two-plane", "joint", "pinhole"]
@@ -71,15 +71,21 @@ def calibrate(
     """
     plan = read_calibration(Path(path))
     _check_model(plan, model)
-    seen = []
+    seen: list[SeenPlane] = []
+    dropped: list[Dropped] = []  # views by hand: the others may do without them
     for k, plane in enumerate(plan.planes):
-        seen.append(see_plane(plan, plane))
+        try:
+            seen.append(see_plane(plan, plane))
+        except CalibrationError as error:
+            if plane.c_from_target is not None:
+                raise
+            dropped.append((plane.name, str(error).removeprefix(f"{plan.path}: plane {plane.name}: ")))
         on_plane(k + 1, len(plan.planes))
-    size = _one_size(plan, seen)
+    size = _one_size(plan, seen) if seen else (0, 0)
     jig = [s.marks for s in seen if s.plan.c_from_target is not None]
     if jig:
-        return _finish_jig(plan, seen, jig, size, model, order)
-    return _finish_freehand(plan, seen, size)
+        return _finish_jig(plan, seen, dropped, jig, size, model, order)
+    return _finish_freehand(plan, seen, dropped, size)
 
 
 def _check_model(plan: CalibrationPlan, model: Model) -> None:
@@ -110,6 +116,7 @@ def _one_size(plan: CalibrationPlan, seen: list[SeenPlane]) -> tuple[int, int]:
 def _finish_jig(
     plan: CalibrationPlan,
     seen: list[SeenPlane],
+    dropped: list[Dropped],
     jig: list[PlaneMarks],
     size: tuple[int, int],
     model: Model,
@@ -120,30 +127,31 @@ def _finish_jig(
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
     placed = {marks.name: marks for marks in fit.marks}
-    planes = [(s.plan, placed.get(s.plan.name) or _located(plan, fit.camera, s)) for s in seen]
+    for s in seen:
+        if s.plan.name not in placed:
+            try:
+                placed[s.plan.name] = locate_target(fit.camera, s.marks)
+            except CalibrationError as error:
+                dropped.append((s.plan.name, str(error)))
+    planes = [(s.plan, placed[s.plan.name]) for s in seen if s.plan.name in placed]
     lasers, views = find_lasers(plan, fit.camera, planes, curved=None)
     stages = find_stages(plan, fit.camera)
-    verdict = judge_jig(plan, seen, fit, lasers)
+    verdict = judge_jig(plan, seen, dropped, fit, lasers, stages)
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, fit, None)
 
 
-def _located(plan: CalibrationPlan, camera: AnyCamera, seen: SeenPlane) -> PlaneMarks:
+def _finish_freehand(
+    plan: CalibrationPlan, seen: list[SeenPlane], dropped: list[Dropped], size: tuple[int, int]
+) -> Calibration:
     try:
-        return locate_target(camera, seen.marks)
-    except CalibrationError as error:
-        raise CalibrationError(f"{plan.path}: {error}") from error
-
-
-def _finish_freehand(plan: CalibrationPlan, seen: list[SeenPlane], size: tuple[int, int]) -> Calibration:
-    try:
-        fit = fit_freehand([s.marks for s in seen], size)
+        fit = fit_freehand([s.marks for s in seen], size, dropped=dropped)
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
     placed = {view.name: view for view in fit.views}
     planes = [(s.plan, placed[s.plan.name]) for s in seen if s.plan.name in placed]
     lasers, views = find_lasers(plan, fit.camera, planes, curved=False)
     stages = find_stages(plan, fit.camera)
-    verdict = judge_freehand(plan, seen, fit, lasers)
+    verdict = judge_freehand(plan, seen, fit, lasers, stages)
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, None, fit)
 
 
