@@ -73,9 +73,14 @@ def _located(planes: Sequence[PlaneMarks], culprits: tuple[int, ...], k: int, ba
         located = locate_target(fit_ray_field(innocent, orders=(3, 1)).field, plane)
     except (CalibrationError, ValueError, np.linalg.LinAlgError):
         return np.full(MODES, np.nan)
-    moved = plane.c_from_plane.inverse @ located.c_from_plane
-    centre = np.append(placement.middle(plane), 0.0)
-    axis = plane.c_from_plane.rotation.T @ basis.c_from_d[:, 2]
+    return amounts_of(plane, located, basis)
+
+
+def amounts_of(stated: PlaneMarks, located: PlaneMarks, basis: RayField) -> Array:
+    """Amounts (7,) of `placement.put_right` that move a plane from where it is stated to where it is located."""
+    moved = stated.c_from_plane.inverse @ located.c_from_plane
+    centre = np.append(placement.middle(stated), 0.0)
+    axis = stated.c_from_plane.rotation.T @ basis.c_from_d[:, 2]
     shift = moved.apply(centre[None])[0] - centre
     amounts = np.zeros(MODES)
     amounts[STAND_OFF] = shift[2] / axis[2]

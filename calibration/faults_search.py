@@ -149,7 +149,7 @@ def choose(evidence: Evidence) -> Choice:
     none = np.zeros(MODES)
     if evidence.planes < 3 or not len(evidence.z):
         return Choice((), evidence, none)
-    chosen = _select(evidence, None)
+    chosen = select(evidence)
     if not _left_over(evidence, chosen):
         return Choice(chosen, evidence, none)
     for _ in range(3):  # what no longer stands out belongs to the scatter
@@ -157,7 +157,7 @@ def choose(evidence: Evidence) -> Choice:
         if not scatter.any():
             return Choice(chosen, evidence, none)
         tempered = evidence.tempered(scatter)
-        before, chosen = chosen, _select(tempered, scatter)
+        before, chosen = chosen, select(tempered, scatter)
         if chosen == before:
             break
     return Choice(chosen, tempered, scatter)
@@ -176,8 +176,8 @@ def _left_over(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> bool:
     return freedom > 0 and bool(chi2.sf(evidence.total - fit.gain, freedom) < UNEXPLAINED)
 
 
-def _select(evidence: Evidence, scatter: Array | None) -> tuple[Hypothesis, ...]:
-    """Nothing, one, two, or more hypotheses, each step significant after Bonferroni."""
+def select(evidence: Evidence, scatter: Array | None = None) -> tuple[Hypothesis, ...]:
+    """Nothing, one, two, or more hypotheses, each step significant after Bonferroni, beside a scatter of the planes."""
     from scipy.stats import chi2
 
     if chi2.sf(evidence.total, len(evidence.z)) > 0.05:

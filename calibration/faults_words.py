@@ -11,7 +11,7 @@ import numpy as np
 from calibration import placement
 from calibration.faults_images import MixUp
 from calibration.faults_search import Choice, Evidence, Explained, Hypothesis, alternatives
-from calibration.geometry import Array
+from calibration.geometry import Array, Pose
 from calibration.placement import MODES, PITCH, ROTATION, SLIP_X, SLIP_Y, STAND_OFF, TILT_X, TILT_Y
 from calibration.plane_map import PlaneMarks
 
@@ -160,6 +160,18 @@ def _whole_pitches(slip: Array, size: _Size, lattice: Lattice) -> tuple[int, int
     if not whole.any() or not near.all():
         return None
     return int(whole[1]), int(whole[0])
+
+
+def of_rig_moved(motion: Pose, about: Array, left_px: float) -> Fault:
+    """Camera and jig that have moved against each other: every plane is seen elsewhere by one rigid motion."""
+    angle = float(np.degrees(np.arccos(np.clip((np.trace(motion.rotation) - 1) / 2, -1, 1))))
+    shift = motion.apply(about[None])[0] - about
+    size = float(np.linalg.norm(shift))
+    remedy = (
+        f"all planes: the jig stands ({shift[0]:+.3f}, {shift[1]:+.3f}, {shift[2]:+.3f}) mm and {angle:.3f} degrees from where the rig "
+        f"was calibrated (that motion leaves {left_px:.3f} px): the camera has moved, or the jig: calibrate again"
+    )
+    return Fault("all", "moved", size, float("nan"), "mm", (), None, None, remedy)
 
 
 def of_mark(plane: PlaneMarks, row: int, size: float, error: float) -> Fault:

@@ -71,7 +71,7 @@ def _columns(headers: Iterable[str], rows: list[list[str]]) -> list[str]:
 
 def check_text(result: dict[str, Any]) -> str:
     """Judgement of one plane's images, for the terminal."""
-    if "expected" not in result:
+    if not result["found"]:
         return f"plane {result['name']}: not good: {result['remedy']}"
     rejected = ", ".join(f"{count} {reason}" for reason, count in result["rejected"].items()) or "none"
     return (

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from calibration.analysis import Interplane, Intraplane, interplane, intraplane
-from calibration.faults import Lattice, find_faults
+from calibration.faults import Fault, Lattice, find_faults
 from calibration.geometry import Array
 from calibration.held_out import HeldOut, held_out, leave_views_out
 from calibration.laser import Laser
@@ -70,7 +70,7 @@ def judge_jig(
             "placement_px": float(inside.split.plane_px[k]),
         }
         rows.append(_row(s, of_plane.get(s.plan.name), **figures))
-    faults = [*_moved(seen), *_labelling(seen), *_named(plan, fit, seen)]
+    faults = [*_moved(seen), *[mirrored_fault(s.plan.name) for s in seen if s.mirrored], *_named(plan, fit, seen)]
     ray_mm = _rms([h.rms_mm for h in held if h.between])
     content = {
         "ray_mm": ray_mm,
@@ -154,45 +154,39 @@ def _named(plan: CalibrationPlan, fit: TwoPlaneFit, seen: list[SeenPlane]) -> li
 
     Planes that are seen mirrored have their fault already and are left out.
     """
-    target = plan.target
     mirrored = {s.plan.name for s in seen if s.mirrored}
     planes = [m for m in fit.marks if m.name not in mirrored]
     if len(planes) < 2:
         return []
     field = fit.joint.field if not mirrored else None
-    lattice = Lattice(target.rows, target.columns, target.pitch) if isinstance(target, SpotGrid) else None
-    return [
-        {
-            "plane": fault.plane,
-            "kind": fault.kind,
-            "value": fault.value,
-            "standard_error": fault.standard_error,
-            "unit": fault.unit,
-            "or": list(fault.alternatives),
-            "centre": fault.centre,
-            "mark": fault.mark,
-            "remedy": fault.remedy,
-        }
-        for fault in find_faults(planes, field=field, lattice=lattice)
-    ]
+    return [fault_content(fault) for fault in find_faults(planes, field=field, lattice=lattice_of(plan))]
 
 
-def _labelling(seen: list[SeenPlane]) -> list[dict[str, Any]]:
-    """Return a fault ``labelling`` for every plane whose fiducials only match in a mirror."""
-    return [
-        {
-            "plane": s.plan.name,
-            "kind": "labelling",
-            "value": NAN,
-            "standard_error": NAN,
-            "unit": "",
-            "or": [],
-            "remedy": f"plane {s.plan.name}: its fiducials are seen mirrored: turn the front of the target to the camera, or "
-            "correct `fiducials`",
-        }
-        for s in seen
-        if s.mirrored
-    ]
+def lattice_of(plan: CalibrationPlan) -> Lattice | None:
+    """Grid of the plan's target, where it is one of spots."""
+    target = plan.target
+    return Lattice(target.rows, target.columns, target.pitch) if isinstance(target, SpotGrid) else None
+
+
+def fault_content(fault: Fault) -> dict[str, Any]:
+    """One fault as --json gives it."""
+    return {
+        "plane": fault.plane,
+        "kind": fault.kind,
+        "value": fault.value,
+        "standard_error": fault.standard_error,
+        "unit": fault.unit,
+        "or": list(fault.alternatives),
+        "centre": fault.centre,
+        "mark": fault.mark,
+        "remedy": fault.remedy,
+    }
+
+
+def mirrored_fault(plane: str) -> dict[str, Any]:
+    """The fault ``labelling`` of a plane whose fiducials only match in a mirror."""
+    remedy = f"plane {plane}: its fiducials are seen mirrored: turn the front of the target to the camera, or correct `fiducials`"
+    return fault_content(Fault(plane, "labelling", NAN, NAN, "", (), None, None, remedy))
 
 
 def _moved(seen: list[SeenPlane]) -> list[dict[str, Any]]:
