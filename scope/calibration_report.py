@@ -242,25 +242,39 @@ def _add_numerics(page: Page, fit: TwoPlaneFit) -> None:
     page.heading("The paper's two numerical findings, on these spots")
     rows = []
     names = (
-        ("pixels", "raw pixels"),
+        ("pixels", "powers of raw pixels"),
         ("unit", "normalised to (0, 1), origin in a corner"),
-        ("centred", "normalised, origin at the centre"),
+        ("centred", "normalised to (-1, 1), origin at the centre"),
+        ("chebyshev", "Chebyshev products about the centre"),
     )
     for coordinates, text in names:
         _, c = normal_equations(marks, terms="paper", coordinates=coordinates)  # type: ignore[arg-type]
-        rows.append([text, f"{c.span:.1f}", f"{c.condition:.1e}", f"{c.error:.1e}"])
+        rows.append(
+            [
+                text,
+                f"{c.span:.1f}",
+                f"{c.condition:.1e}",
+                f"{c.dependence:.2f}",
+                f"{c.error:.1e}",
+                f"{c.error_single:.1e}",
+            ]
+        )
     page.table(
         (
             "coordinates of the 11-term map",
             "orders of magnitude in P'P",
             "condition of P'P",
+            "likest two columns (cosine)",
             "error of the LU solution, mm",
+            "in single precision, mm",
         ),
         rows,
     )
     page.text(
-        "Normalising cures the span. The centre as origin makes columns of a symmetric grid alike; the Chebyshev basis and QR "
-        "that the maps are really fitted with depend on neither."
+        "Normalising cures the span (the paper's first finding). With the origin at the centre sums of odd powers cancel on a "
+        "symmetric grid, so that the elements span more orders (its second finding); yet the condition is the better one there. In "
+        "double precision neither costs anything; in single precision both show. The Chebyshev basis with QR, by which the "
+        "maps are really fitted, depends on neither."
     )
 
 
