@@ -63,9 +63,9 @@ def _nothing(light: NDArray[np.float32]) -> str:
     low, high = sorted((abs(float(light.min())), abs(float(light.max()))))
     tops = tuple(float(2**bits - 1) for bits in (8, 10, 12, 14, 16))
     if low == high == 0.0:
-        found, advice = "is black: every grey level is 0", "check lens cap, illumination and exposure"
+        found, advice = "is black: all grey levels are 0", "check lens cap, illumination and exposure"
     elif low in tops and low == high:
-        found, advice = f"is saturated: every grey level is {high:.0f}", "expose shorter or dim the light"
+        found, advice = f"is saturated: all grey levels are {high:.0f}", "expose shorter or dim the light"
     else:
         found, advice = (
             f"shows nothing: its grey levels lie between {low:.0f} and {high:.0f}",

@@ -71,20 +71,21 @@ def calibrate(
     """
     plan = read_calibration(Path(path))
     _check_model(plan, model)
+    on_jig = any(plane.c_from_target is not None for plane in plan.planes)
     seen: list[SeenPlane] = []
     dropped: list[Dropped] = []  # views by hand: the others may do without them
     for k, plane in enumerate(plan.planes):
         try:
             seen.append(see_plane(plan, plane))
         except CalibrationError as error:
-            if plane.c_from_target is not None:
+            if on_jig:
                 raise
             dropped.append((plane.name, str(error).removeprefix(f"{plan.path}: plane {plane.name}: ")))
         on_plane(k + 1, len(plan.planes))
     size = _one_size(plan, seen) if seen else (0, 0)
     jig = [s.marks for s in seen if s.plan.c_from_target is not None]
     if jig:
-        return _finish_jig(plan, seen, dropped, jig, size, model, order)
+        return _finish_jig(plan, seen, jig, size, model, order)
     return _finish_freehand(plan, seen, dropped, size)
 
 
@@ -116,7 +117,6 @@ def _one_size(plan: CalibrationPlan, seen: list[SeenPlane]) -> tuple[int, int]:
 def _finish_jig(
     plan: CalibrationPlan,
     seen: list[SeenPlane],
-    dropped: list[Dropped],
     jig: list[PlaneMarks],
     size: tuple[int, int],
     model: Model,
@@ -127,17 +127,18 @@ def _finish_jig(
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
     placed = {marks.name: marks for marks in fit.marks}
-    for s in seen:
-        if s.plan.name not in placed:
-            try:
-                placed[s.plan.name] = locate_target(fit.camera, s.marks)
-            except CalibrationError as error:
-                dropped.append((s.plan.name, str(error)))
-    planes = [(s.plan, placed[s.plan.name]) for s in seen if s.plan.name in placed]
+    planes = [(s.plan, placed.get(s.plan.name) or _located(plan, fit.camera, s)) for s in seen]
     lasers, views = find_lasers(plan, fit.camera, planes, curved=None)
     stages = find_stages(plan, fit.camera)
-    verdict = judge_jig(plan, seen, dropped, fit, lasers, stages)
+    verdict = judge_jig(plan, seen, fit, lasers, stages)
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, fit, None)
+
+
+def _located(plan: CalibrationPlan, camera: AnyCamera, seen: SeenPlane) -> PlaneMarks:
+    try:
+        return locate_target(camera, seen.marks)
+    except CalibrationError as error:
+        raise CalibrationError(f"{plan.path}: {error}") from error
 
 
 def _finish_freehand(

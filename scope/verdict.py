@@ -43,7 +43,6 @@ class Verdict:
 def judge_jig(
     plan: CalibrationPlan,
     seen: list[SeenPlane],
-    dropped: list[Dropped],
     fit: TwoPlaneFit,
     lasers: dict[str, Laser],
     stages: tuple[Stage, ...],
