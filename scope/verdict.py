@@ -83,7 +83,6 @@ def judge_jig(
             "placement": inside.split.placement_px,
             "random": inside.split.random_px,
         },
-        "dropped": [{"name": name, "reason": reason} for name, reason in dropped],
         "stages": [stage_content(stage) for stage in stages],
     }
     verdict = _verdict(
