@@ -31,6 +31,7 @@ PENALTY = 9.0  # of chi-square a parameter: a larger hypothesis must be worth it
 UNEXPLAINED = 1e-3  # probability below which what is left is more than noise
 ALIKE = 6.0  # of penalised chi-square: hypotheses closer than this to the best are named with it
 JITTER = ((SLIP_X, SLIP_Y), (ROTATION,), (STAND_OFF,), (TILT_X, TILT_Y))  # modes that share one scatter over planes
+_TWO_SIGMA = 0.02275  # one tail of a normal distribution beyond two standard deviations
 LEAST_FREEDOM = 8  # believed of a scatter over planes, however few they are: a gross fault must not hide in it
 
 
@@ -114,6 +115,19 @@ class Choice:
     hypotheses: tuple[Hypothesis, ...]
     evidence: Evidence
     scatter: Array  # (7,) by which planes were found to scatter in each mode beside the faults, one sigma
+
+    def widening(self, kind: Misplacement) -> float:
+        """By what a standard error is to be enlarged, so that two of them still cover 95 % (Student 1908).
+
+        The scatter of the planes is estimated from few of them, so that a size over its standard error has longer tails.
+        """
+        from scipy.stats import t
+
+        if not self.scatter.any():
+            return 1.0
+        left = max(self.evidence.planes - 2 - len(self.hypotheses), 1)
+        freedom = min(len(g) * left for g in JITTER if set(g) & set(MODES_OF[kind]) or kind == "pitch")
+        return float(t.isf(_TWO_SIGMA, freedom) / 2.0)
 
 
 def singles(planes: int) -> list[Hypothesis]:

@@ -57,11 +57,11 @@ def of_hypothesis(
 
     ``stretched``: a pitch whose slip, chosen with it, only says about which point the spacing is wrong.
     """
-    size = _size(one, fit)
+    size = _size(one, fit, choice.widening(one.kind))
     names = [p.name for p in stated]
     own = (one, Hypothesis(one.plane, "slip")) if stretched else (one,)
     others = tuple(
-        f"{names[h.plane]}: {h.kind} {_written(_size(h, fitted))}{' with a slip' if stretched else ''}"
+        f"{names[h.plane]}: {h.kind} {_written(_size(h, fitted, choice.widening(h.kind)))}{' with a slip' if stretched else ''}"
         for h, fitted in alternatives(choice, own)
     )
     if stretched and len(stated) == 3:
@@ -116,11 +116,11 @@ def _amounts(plane: int, fit: Explained) -> Array:
     return amounts
 
 
-def _size(one: Hypothesis, fit: Explained) -> _Size:
+def _size(one: Hypothesis, fit: Explained, widening: float = 1.0) -> _Size:
     """Size of a misplacement: signed for one mode, the length of two, with its standard error along itself."""
     modes, unit, factor = _MEASURE[one.kind]
     at = [fit.columns.index(MODES * one.plane + m) for m in modes]
-    vector, covariance = fit.amounts[at], fit.covariance[np.ix_(at, at)]
+    vector, covariance = fit.amounts[at], widening**2 * fit.covariance[np.ix_(at, at)]
     if len(modes) == 1:
         return _Size(factor * float(vector[0]), factor * float(np.sqrt(covariance[0, 0])), unit)
     length = float(np.linalg.norm(vector))

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.sessions import FIVE, FOUR, SEVEN, misplacement, session
 from calibration import placement
 from calibration.faults import Lattice, find_faults
-from calibration.faults_search import Evidence, Hypothesis
+from calibration.faults_search import Choice, Evidence, Hypothesis
 from calibration.geometry import Pose
 from calibration.ray_field import fit_ray_field
 from calibration.redundancy import redundancy_of
@@ -278,3 +278,15 @@ def test_of_two_planes_one_turned_is_called_turned():
     assert fault.kind == "labelling"
     assert "180 degrees" in fault.remedy
     assert fault.alternatives
+
+
+def test_sizes_beside_a_scatter_of_the_planes_have_wider_errors():
+    """Two stated standard errors cover 95 % also where the scatter comes from four differences of planes."""
+    rng = np.random.default_rng(30)
+    evidence = Evidence(np.zeros(1), np.zeros((1, 49)), 7)
+    scatter = np.array([1e-3] * 7)
+    none = Choice((Hypothesis(2, "stand_off"),), evidence, np.zeros(7))
+    some = Choice((Hypothesis(2, "stand_off"),), evidence, scatter)
+    assert none.widening("stand_off") == 1.0
+    pulls = rng.normal(size=100_000) / np.sqrt(rng.chisquare(4, 100_000) / 4)
+    assert np.mean(np.abs(pulls) < 2 * some.widening("stand_off")) == pytest.approx(0.9545, abs=0.003)
