@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -22,11 +23,12 @@ from benchmarks.shared import SHARED, head, require, row
 from calibration.analysis import interplane
 from calibration.geometry import Array
 from calibration.held_out import held_out, ray_uncertainty
-from calibration.plane_map import PlaneMarks, normal_equations
+from calibration.plane_map import PlaneMarks, fit_plane_map, normal_equations
+from calibration.ray_field import fit_ray_field
 from calibration.two_plane import fit_two_plane, with_model
 from scope.optics import Window
 
-DRAWS = 300
+DRAWS = 150
 GRID = (9, 12)
 MODELS: tuple[Literal["joint", "two-plane"], ...] = ("joint", "two-plane")
 
@@ -86,10 +88,14 @@ def uncertainty() -> None:
         exact = camera(window)
         at: dict[str, list[Array]] = {"joint": [], "two-plane": []}
         stated: dict[str, list[Array]] = {"joint": [], "two-plane": []}
+        first = fit_two_plane(session(exact, np.random.default_rng(0)), SIZE, order=6).camera
+        orders = (first.field.slope_order, first.field.origin_order)
         for seed in range(DRAWS):
-            fit = fit_two_plane(session(exact, np.random.default_rng(seed)), SIZE, order=6)
+            planes = session(exact, np.random.default_rng(seed))  # by depth, as the camera's maps are
+            maps = tuple(fit_plane_map(p, order=6).map for p in planes)
+            again = replace(first, maps=maps, field=fit_ray_field(planes, orders=orders).field)
             for model in MODELS:
-                seen = with_model(fit.camera, model)
+                seen = with_model(again, model)
                 (view,) = ray_uncertainty(seen, [380.0], grid=GRID)
                 near = None if model == "joint" else 380.0
                 at[model].append(seen.rays(view.pixels.reshape(-1, 2), near=near).at_depth(380.0)[:, :2])

@@ -9,7 +9,8 @@ import pytest
 from scipy.stats import ncx2
 
 from calibration.errors import CalibrationError
-from calibration.spots import Noise, find_spots, measure_marks
+from calibration.marks import measure_marks
+from calibration.spots import Noise, find_spots
 from calibration.spots_eccentricity import eccentricity_of_homography, eccentricity_of_map
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
