@@ -28,7 +28,7 @@ from calibration.ray_field import fit_ray_field
 from calibration.two_plane import fit_two_plane, with_model
 from scope.optics import Window
 
-DRAWS = 150
+DRAWS = 600
 GRID = (9, 12)
 MODELS: tuple[Literal["joint", "two-plane"], ...] = ("joint", "two-plane")
 

@@ -67,15 +67,16 @@ def measure_marks(
     chosen = np.full(len(asked), -1)
     reason = [""] * len(asked)
     if len(places):
-        distance = np.linalg.norm(asked[:, None] - places[None], axis=2)
-        good = distance[:, : len(spots)]
-        for i in range(len(asked)):
-            k = int(good[i].argmin()) if len(spots) else -1
-            if k >= 0 and good[i, k] <= (spots.diameter[k] if reach is None else reach):
-                chosen[i] = k
-                continue
+        offset = asked[:, None] - places[None]
+        distance = np.sqrt(np.einsum("nmi,nmi->nm", offset, offset))
+        rows_of = np.arange(len(asked))
+        if len(spots):
+            near = distance[:, : len(spots)].argmin(axis=1)
+            close = distance[rows_of, near] <= (spots.diameter[near] if reach is None else reach)
+            chosen[close] = near[close]
+        limit = reach if reach is not None else float(np.median(spots.diameter)) if len(spots) else 20.0
+        for i in np.flatnonzero(chosen < 0).tolist():
             k = int(distance[i].argmin())
-            limit = reach if reach is not None else float(np.median(spots.diameter)) if len(spots) else 20.0
             if k >= len(spots) and distance[i, k] <= limit:
                 reason[i] = spots.rejected[k - len(spots)][2]
             else:
