@@ -1,9 +1,12 @@
-"""Labels of simulated views of spot grids: ``python -m benchmarks.labelling [sets]``.
+"""Labels of simulated views of spot grids: ``python -m benchmarks.labelling [sets [rendered views]]``.
 
 A pinhole with barrel distortion, which shares no code with what it tests, sees a grid of random rows, columns, pitch
 and fiducials from a random pose: any rotation, tilts to 45 degrees, as it is or mirrored, whole or cut by the border of
 the image. Up to 30 % of the spots are missing, some spots are dirt, centroids and diameters are noisy. A set is wrong
 as soon as one spot carries a label that is not its own, or is called mirrored when it is not; a refusal is not wrong.
+
+The rendered views go the whole way, from an image of the simulator (`scope.simulation`) to labels: light or dark spots,
+uneven light, dirt, any rotation, tilts to 45 degrees, mirrored or not, up to 30 % of the spots missing.
 """
 
 from __future__ import annotations
@@ -12,13 +15,17 @@ import sys
 from collections import Counter
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import CalibrationError
 from calibration.grid import label_grid
-from calibration.spots import Spots
+from calibration.spots import Spots, find_spots
 from calibration.targets import SpotGrid
+from scope.optics import project as exact_project
+from scope.rig_design import CameraDesign, FaultDesign, JigDesign, LaserDesign, RigDesign
+from scope.virtual_rig import VirtualRig
 
 Array = NDArray[np.float64]
 SIZE = (1280, 960)
@@ -158,10 +165,10 @@ def view(
         return View(target, spots, truth[order], mirrored, int(seen[number].sum()) if fiducials else 0)
 
 
-def judge(seen: View) -> str:
+def judge(seen: View, size: tuple[int, int] = SIZE) -> str:
     """What became of a view: "labelled", "wrong", "dirt labelled" or the first words of the refusal."""
     try:
-        labels = label_grid(seen.spots, seen.target, image_size=SIZE)
+        labels = label_grid(seen.spots, seen.target, image_size=size)
     except CalibrationError as error:
         return "refused: " + str(error)[:40]
     given = labels.labelled
@@ -177,20 +184,75 @@ def judge(seen: View) -> str:
     return "labelled"
 
 
+def rendered(rng: np.random.Generator) -> View:
+    """A view from an image: its spots as they were found, and what each of them is."""
+    size = (800, 600)
+    while True:
+        rows, columns = int(rng.integers(9, 15)), int(rng.integers(9, 17))
+        row, column = int(rng.integers(3, rows - 3)), int(rng.integers(3, columns - 3))
+        marks = ((row, column), (row, column + 2), (row - 3, column))
+        pitch, diameter = 12.0, float(rng.uniform(4.2, 5.5))
+        spin, tilt, toward = rng.uniform(-180, 180), np.radians(rng.uniform(0, 45)), rng.uniform(-np.pi, np.pi)
+        lean = cv2.Rodrigues(tilt * np.array([np.cos(toward), np.sin(toward), 0.0]))[0]
+        turn = cv2.Rodrigues(np.radians([0.0, 0.0, spin]))[0]
+        vector = np.degrees(cv2.Rodrigues(lean @ turn)[0].ravel())
+        extent = float(np.hypot((columns - 1) * pitch, (rows - 1) * pitch))
+        depth = 900.0 * extent / (rng.uniform(0.55, 0.95) * float(np.hypot(*size)))
+        cells = [(r, c) for r in range(rows) for c in range(columns) if (r, c) not in marks]
+        lost = rng.permutation(len(cells))[: int(rng.uniform(0, 0.3) * len(cells))]
+        polarity = "light" if rng.random() < 0.5 else "dark"
+        design = RigDesign(
+            CameraDesign(size, 900.0, (400.0, 300.0), distortion=(float(rng.uniform(-0.35, 0.0)), 0.05, 0.0, 0.0, 0.0)),
+            LaserDesign((-160.0, 0.0, 0.0), (0.0, 0.0, depth)),
+            JigDesign(
+                (depth,), rows, columns, pitch, diameter, polarity=polarity, fiducials=marks,  # type: ignore[arg-type]
+                fiducial_diameter=diameter * float(rng.uniform(1.4, 1.7)), rotation=tuple(map(float, vector)),
+                uneven=float(rng.uniform(0, 0.5)),
+            ),
+            faults=(FaultDesign(f"w{depth:g}", missing=tuple(cells[k] for k in lost), dirt=int(rng.integers(0, 4))),),
+        )  # fmt: skip
+        rig = VirtualRig.of(design)
+        image = rig.target_images(0, 1, rng)[0]
+        r, c = np.mgrid[0:rows, 0:columns]
+        flat = np.column_stack([c.ravel() * pitch, r.ravel() * pitch, np.zeros(rows * columns)])
+        truth = exact_project(rig.camera, rig.actual[0].apply(flat))
+        whole = (truth > 12).all(axis=1) & (truth < np.array(size) - 13).all(axis=1)
+        number = [r * columns + c for r, c in marks]
+        if not whole[number].all() or whole.sum() < 36:
+            continue
+        mirrored = bool(rng.random() < 0.5)
+        if mirrored:
+            image, truth = np.ascontiguousarray(image[:, ::-1]), truth * [-1, 1] + [size[0] - 1, 0]
+        spots = find_spots(image, polarity=polarity)  # type: ignore[arg-type]
+        truth[[rr * columns + cc for rr, cc in (cells[k] for k in lost)]] = np.inf
+        gap = np.linalg.norm(spots.centroids[:, None] - truth[None], axis=2)
+        mark = np.where(gap.min(axis=1) < 2.0, gap.argmin(axis=1), -1)
+        target = SpotGrid(rows, columns, (pitch, pitch), diameter, polarity, marks, design.jig.fiducial_diameter)  # type: ignore[arg-type]
+        return View(target, spots, mark, mirrored, 3)
+
+
 def main() -> None:
     sets = int(sys.argv[1]) if len(sys.argv) > 1 else 10000
     kinds = (
         ("all fiducials seen, any rotation, mirrored or not, partial views", {}, sets),
-        ("no fiducials, whole grid in view", {"fiducials": False}, sets // 5),
-        ("fiducials may be among the missing", {"lose_fiducials": True}, sets // 5),
+        ("no fiducials, whole grid in view", {"fiducials": False}, sets // 10),
+        ("fiducials may be among the missing", {"lose_fiducials": True}, sets // 10),
     )
     print("| simulated sets | number | wrong | labelled | the rest |")
     print("| --- | --- | --- | --- | --- |")
     for name, options, number in kinds:
+        if not number:
+            continue
         rng = np.random.default_rng(11)
         count = Counter(judge(view(rng, **options)) for _ in range(number))  # type: ignore[arg-type]
         rest = {k: v for k, v in count.items() if k not in ("labelled", "wrong")}
         print(f"| {name} | {number} | {count['wrong']} | {100 * count['labelled'] / number:.2f} % | {rest or '-'} |")
+    views = int(sys.argv[2]) if len(sys.argv) > 2 else 200
+    rng = np.random.default_rng(12)
+    count = Counter(judge(rendered(rng), (800, 600)) for _ in range(views))
+    rest = {k: v for k, v in count.items() if k not in ("labelled", "wrong")}
+    share = 100 * count["labelled"] / max(views, 1)
+    print(f"| rendered images | {views} | {count['wrong']} | {share:.2f} % | {rest or '-'} |")
 
 
 if __name__ == "__main__":

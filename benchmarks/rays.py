@@ -33,14 +33,16 @@ class OpenCv:
     translation: Array
 
     @classmethod
-    def fit(cls, marks: list[PlaneMarks], flags: int) -> OpenCv:
+    def fit(
+        cls, marks: list[PlaneMarks], flags: int, *, start: Array | None = None, size: tuple[int, int] = SIZE
+    ) -> OpenCv:
         """Fit to marks with OpenCV's flags."""
         points = np.concatenate([m.world for m in marks]).astype(np.float32)
         pixels = np.concatenate([m.pixels for m in marks]).astype(np.float32)
-        start = np.array([[1300.0, 0, 640], [0, 1300, 480], [0, 0, 1]])
+        start = np.array([[1300.0, 0, 640], [0, 1300, 480], [0, 0, 1]]) if start is None else start
         criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-14)
         _, k, d, r, t = cv2.calibrateCamera(
-            [points], [pixels], SIZE, start, None, flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS, criteria=criteria
+            [points], [pixels], size, start, None, flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS, criteria=criteria
         )[:5]
         return cls(k, d, cv2.Rodrigues(r[0])[0], t[0].ravel())
 

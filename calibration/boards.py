@@ -34,7 +34,7 @@ def find_chessboard(image: NDArray[np.generic], target: Chessboard) -> Corners:
     Returns
     -------
     Corners
-        All corners of the target. Mark (0, 0) is one of the corners of the pattern, and the marks turn as (u, v) do; a
+        All corners of the target but those, if any, that a smooth grid contradicts. Mark (0, 0) is one of the corners of the pattern, and the marks turn as (u, v) do; a
         board that looks the same after half a turn (an even sum of rows and columns) may be counted from either end.
 
     Raises
@@ -45,18 +45,11 @@ def find_chessboard(image: NDArray[np.generic], target: Chessboard) -> Corners:
     Notes
     -----
     OpenCV's sector-based detector (Duda and Frese, BMVC 2018), whose own sub-pixel step is improved on by the gradient
-    condition of `cornerSubPix`: every gradient near a corner is normal to the line to it (Forstner and Gulch 1987).
+    condition of `cornerSubPix`: every gradient near a corner is normal to the line to it (Forstner and Gulch 1987). It now
+    and then misses a board that is in plain view; it is then asked without normalising, and after it the older detector.
     """
-    import cv2
-
     grey = _eight_bit(image)
-    flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
-
-    def detect(rows: int, columns: int) -> Array | None:
-        found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=flags)
-        return np.asarray(corners, dtype=np.float64).reshape(-1, 2) if found else None
-
-    pixels = detect(target.rows, target.columns)
+    pixels = _detect(grey, target.rows, target.columns)
     if pixels is None:
         raise CalibrationError(
             f"no chessboard of {target.rows} x {target.columns} inner corners in the image; all of it must be in view: "
@@ -66,7 +59,29 @@ def find_chessboard(image: NDArray[np.generic], target: Chessboard) -> Corners:
     along, down = (grid[:, -1] - grid[:, 0]).mean(axis=0), (grid[-1] - grid[0]).mean(axis=0)
     if along[0] * down[1] - along[1] * down[0] < 0:
         grid = grid[:, ::-1]  # the detector may count a board from the wrong hand
-    return Corners(_refine(grey, grid.reshape(-1, 2), _spacing(grid)), np.arange(target.rows * target.columns))
+    expected = _smooth(grid)
+    away = np.linalg.norm(grid.reshape(-1, 2) - expected, axis=1)
+    limit = max(6.0 * 1.4826 * float(np.median(away)), 1.0)
+    # the detector may put single corners pixels away; they are sought again where their neighbours expect them
+    start = np.where((away > limit)[:, None], expected, grid.reshape(-1, 2))
+    moved = _refine(grey, start, _spacing(grid))
+    known = np.linalg.norm(moved - expected, axis=1) <= limit + 0.5
+    return Corners(moved[known], np.flatnonzero(known))
+
+
+def _detect(grey: NDArray[np.uint8], rows: int, columns: int) -> Array | None:
+    """Corners (rows * columns, 2) px of a chessboard by the first detector that sees it whole."""
+    import cv2
+
+    thorough = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    for flags in (thorough | cv2.CALIB_CB_NORMALIZE_IMAGE, thorough):
+        found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=flags)
+        if found:
+            return np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+    found, corners = cv2.findChessboardCorners(
+        grey, (columns, rows), flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    )
+    return np.asarray(corners, dtype=np.float64).reshape(-1, 2) if found else None
 
 
 def find_charuco(image: NDArray[np.generic], target: Charuco) -> Corners:
@@ -112,6 +127,22 @@ def find_charuco(image: NDArray[np.generic], target: Charuco) -> Corners:
             "at least four corners, not in one line, are needed: check dictionary, rows and columns, `legacy` and focus"
         )
     return Corners(pixels, np.asarray(marks, dtype=np.int64).ravel())
+
+
+def _smooth(grid: Array) -> Array:
+    """Where a smooth grid has its corners, (rows * columns, 2) px: a cubic of row and column, robustly fitted."""
+    rows, columns = grid.shape[:2]
+    v, u = np.mgrid[-1 : 1 : rows * 1j, -1 : 1 : columns * 1j]
+    powers = [(i, j) for i in range(min(4, rows)) for j in range(min(4, columns)) if i + j <= 3]
+    a = np.stack([(v**i * u**j).ravel() for i, j in powers], axis=1)
+    seen, weight = grid.reshape(-1, 2), np.ones(rows * columns)
+    fitted = seen
+    for _ in range(8):
+        root = np.sqrt(weight)[:, None]
+        fitted = a @ np.linalg.lstsq(a * root, seen * root, rcond=None)[0]
+        away = np.linalg.norm(seen - fitted, axis=1)
+        weight = 1.0 / np.maximum(away / max(float(np.median(away)), 1e-3), 1.0) ** 2
+    return np.asarray(fitted)
 
 
 def _spacing(grid: Array) -> float:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from calibration import placement
-from calibration.faults_images import MixUp, find_mix_ups, untangle
+from calibration.faults_gross import coarse_starts
+from calibration.faults_images import find_mix_ups, untangle
 from calibration.faults_search import (
     FALSE_ALARM,
     Choice,
@@ -22,46 +22,27 @@ from calibration.faults_search import (
     Explained,
     Hypothesis,
     Misplacement,
-    alternatives,
     best_single,
     choose,
 )
+from calibration.faults_words import Fault, FaultKind, Lattice, of_hypothesis, of_mark, of_mix_up, of_scatter
 from calibration.geometry import Array
-from calibration.placement import MODES, PITCH, ROTATION, SLIP_X, SLIP_Y, STAND_OFF, TILT_X, TILT_Y
+from calibration.placement import MODES, PITCH, SLIP_X, SLIP_Y
 from calibration.plane_map import PlaneMarks
 from calibration.ray_field import RayField, fit_ray_field
 from calibration.redundancy import Redundancy, redundancy_of
 
-FaultKind: TypeAlias = Literal[
-    "slip", "rotation", "stand_off", "tilt", "pitch", "swapped", "labelling", "mark", "moved"
-]
+__all__ = ["Fault", "FaultKind", "Lattice", "find_faults"]
+
 ROUNDS = 12  # of correction, until the faults no longer change
 GROSS = 1e3  # times the evidence that noise gives: so much that the modes may no longer be linear
+SCATTER_PX = (
+    0.1  # rms by which planes may contradict each other when no few faults explain it: a jig repeats only so well
+)
+SAME_POINT = (
+    13.8  # chi-square of two freedoms that chance exceeds once in a thousand: a stretch about the target's middle
+)
 MOST_MARKS = 0.05  # of all marks that may be dropped one by one; more are no matter of single marks
-
-
-@dataclass(frozen=True, slots=True)
-class Lattice:
-    """The grid of a target, so that labels shifted by whole pitches are known for what they are."""
-
-    rows: int
-    columns: int
-    pitch: tuple[float, float]  # mm, along x and y
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """One thing that is wrong."""
-
-    plane: str
-    kind: FaultKind
-    value: float  # true minus stated where it has a sign (stand_off, pitch, rotation), else its size
-    standard_error: float  # NaN where a fault has no size (swapped, labelling)
-    unit: str  # "mm", "deg", "%", "px", or "" without size
-    alternatives: tuple[str, ...]  # what the data cannot tell apart from it
-    centre: tuple[float, float, float] | None  # mm in C, about which the plane is rotated
-    mark: int | None  # number of the mark on the target
-    remedy: str  # what was found and what to do, one line
 
 
 def find_faults(
@@ -101,16 +82,27 @@ def find_faults(
         raise ValueError("faults are found between planes: give two or more")
     mixed = find_mix_ups(planes)
     rest = untangle(planes, mixed)
-    faults = [_of_mix_up(m) for m in mixed]
+    faults = [of_mix_up(m) for m in mixed]
     if len(rest) < 2:
         return tuple(faults)
     basis = fit_ray_field(list(rest), orders=(3, 1)).field if field is None or mixed else field
-    state = _explain(rest, basis)
+    starts = coarse_starts(rest, basis)
+    tried = [_explain(rest, basis, start) for start in starts]
+    best = min(range(len(starts)), key=lambda i: tried[i].cost)
+    start, state = starts[best], tried[best]
     for k, other in _could_be_one(state.choice.hypotheses):
-        simpler = _explain(rest, basis, first=Hypothesis(k, other))
+        simpler = _explain(rest, basis, start, first=Hypothesis(k, other))
         if len(simpler.choice.hypotheses) < len(state.choice.hypotheses):
             state = simpler
-    faults += [_of_hypothesis(h, state, lattice) for h in state.choice.hypotheses]
+    state, stretched = _stretched(rest, basis, start, state, lattice)
+    for h in state.choice.hypotheses:
+        if not (h.plane in stretched and h.kind == "slip"):
+            whole = h.plane in stretched and h.kind == "pitch"
+            faults.append(of_hypothesis(h, state.stated, state.choice, state.fit, lattice, stretched=whole))
+    if not state.choice.hypotheses and len(rest) > 2:
+        off = float(np.sqrt((state.redundancy.moved_px**2).sum(axis=1).mean()))
+        if off > SCATTER_PX and state.choice.scatter.any():
+            faults.append(of_scatter(best_single(state.choice.evidence), state.stated, state.choice.evidence, off))
     faults += _of_marks(state, basis)
     return tuple(faults)
 
@@ -127,6 +119,12 @@ class _State:
     amounts: Array  # (n, 7)
     fit: Explained
 
+    @property
+    def cost(self) -> float:
+        """Of what is not explained, and of the parameters that explain: minus twice the logarithm of the likelihood."""
+        left = self.choice.evidence.total - self.fit.score
+        return left + 2.0 * self.redundancy.freedom * float(np.log(self.redundancy.sigma_px))
+
 
 def _could_be_one(chosen: tuple[Hypothesis, ...]) -> list[tuple[int, Misplacement]]:
     """Planes with a slip beside a wrong pitch or stand-off, which could be the other of the two alone."""
@@ -135,15 +133,56 @@ def _could_be_one(chosen: tuple[Hypothesis, ...]) -> list[tuple[int, Misplacemen
     return [(h.plane, other[h.kind]) for h in chosen if h.kind in other and h.plane in slipped]
 
 
-def _explain(stated: Sequence[PlaneMarks], basis: RayField, first: Hypothesis | None = None) -> _State:
+def _stretched(
+    rest: Sequence[PlaneMarks], basis: RayField, start: Array, state: _State, lattice: Lattice | None
+) -> tuple[_State, set[int]]:
+    """Planes with a slip beside a wrong pitch or stand-off that are but stretched about the middle of the target.
+
+    To the planes, a slip with a stand-off is a slip with a pitch; where the latter leaves the middle of the target (of its
+    grid, or of the marks seen) in its place, one cause explains both.
+    """
+    stretched: set[int] = set()
+    own = {k: {h.kind for h in state.choice.hypotheses if h.plane == k} for k in range(len(rest))}
+    asked = [k for k, kinds in own.items() if kinds in ({"slip", "pitch"}, {"slip", "stand_off"})]
+    of_three = len(rest) == 3 and len(asked) == 1  # any of them could be the one
+    for k in range(3) if of_three else asked:
+        others = () if of_three else tuple(h for h in state.choice.hypotheses if h.plane != k)
+        trial = _explain(rest, basis, start, fixed=(*others, Hypothesis(k, "slip"), Hypothesis(k, "pitch")))
+        if trial.cost > state.cost + SAME_POINT:
+            continue
+        at = [trial.fit.columns.index(MODES * k + mode) for mode in (SLIP_X, SLIP_Y, PITCH)]
+        amounts, covariance = trial.fit.amounts[at], trial.fit.covariance[np.ix_(at, at)]
+        middles = [placement.middle(rest[k])]
+        if lattice is not None:
+            middles.append(np.array([lattice.columns - 1, lattice.rows - 1]) * np.array(lattice.pitch) / 2)
+        for middle in middles:
+            moves = np.column_stack([np.eye(2), middle])
+            slip = moves @ amounts
+            if slip @ np.linalg.solve(moves @ covariance @ moves.T, slip) < SAME_POINT:
+                state, stretched = trial, stretched | {k}
+                break
+        if of_three and stretched:
+            break
+    return state, stretched
+
+
+def _explain(
+    stated: Sequence[PlaneMarks],
+    basis: RayField,
+    start: Array,
+    *,
+    first: Hypothesis | None = None,
+    fixed: tuple[Hypothesis, ...] | None = None,
+) -> _State:
     """Choose faults, put planes right by them, and again, until neither faults nor marks change.
 
     The first round follows one hypothesis only, the best or ``first``: far from the truth the modes are not linear, and
-    several together would mend each other.
+    several together would mend each other. It begins with the planes put right by ``start`` (n, 7). With ``fixed`` nothing
+    is chosen.
     """
     every = tuple(np.ones(len(p), dtype=bool) for p in stated)
     kept = every
-    amounts = np.zeros((len(stated), MODES))
+    amounts = start
     chosen: tuple[Hypothesis, ...] = ()
     for turn in range(ROUNDS):
         good = [p.select(k) for p, k in zip(stated, kept, strict=True)]
@@ -156,10 +195,12 @@ def _explain(stated: Sequence[PlaneMarks], basis: RayField, first: Hypothesis | 
         score = redundancy.score + redundancy.information @ amounts.ravel()
         evidence = Evidence.of(score, redundancy.information)
         choice = choose(evidence)
-        if not chosen and len(choice.hypotheses) > 1 and evidence.total > GROSS * len(evidence.z):
+        if not chosen and not start.any() and len(choice.hypotheses) > 1 and evidence.total > GROSS * len(evidence.z):
             choice = replace(choice, hypotheses=(best_single(choice.evidence),))
         if not chosen and choice.hypotheses and first is not None:
             choice = replace(choice, hypotheses=(first,))
+        if fixed is not None:
+            choice = replace(choice, hypotheses=fixed)
         fit = choice.evidence.fit(choice.hypotheses)
         step = np.zeros(MODES * len(stated))
         step[list(fit.columns)] = fit.amounts
@@ -216,135 +257,5 @@ def _of_marks(state: _State, basis: RayField) -> list[Fault]:
             size = float(np.linalg.norm(test.shift_px[at]))
             # the bad mark itself is no measure of noise
             error = float(test.shift_sigma[at]) * state.redundancy.sigma_px / test.sigma_px
-            plane = state.stated[k]
-            number, (u, v) = int(plane.mark[j]), plane.pixels[j]
-            remedy = (
-                f"plane {plane.name}: mark {number} near pixel ({u:.0f}, {v:.0f}) is off by {size:.3g} +- {error:.1g} px: "
-                "look for dirt, a reflection or a damaged spot there; clean it and take the images again, or leave the mark out"
-            )
-            faults.append(Fault(plane.name, "mark", size, error, "px", (), None, number, remedy))
+            faults.append(of_mark(state.stated[k], int(j), size, error))
     return faults
-
-
-def _of_hypothesis(one: Hypothesis, state: _State, lattice: Lattice | None) -> Fault:
-    """A chosen hypothesis as a fault: its size, and what to do."""
-    size = _size(one, state.fit)
-    names = [p.name for p in state.stated]
-    others = tuple(
-        f"{names[h.plane]}: {h.kind} {_written(_size(h, fit))}" for h, fit in alternatives(state.choice, one)
-    )
-    plane = state.stated[one.plane]
-    centre = None
-    slip = _amounts(one, state.fit)[[SLIP_X, SLIP_Y]]
-    if one.kind == "rotation":
-        angle = _amounts(one, state.fit)[ROTATION]
-        flat = placement.middle(plane) + np.array([-slip[1], slip[0]]) / angle
-        x, y, z = plane.c_from_plane.apply(np.append(flat, 0.0))
-        centre = (float(x), float(y), float(z))
-    shift = _whole_pitches(slip, size, lattice) if one.kind == "slip" and lattice else None
-    kind: FaultKind = "labelling" if shift else one.kind
-    found = _WORDS[one.kind].format(size=_written(size), x=slip[0], y=slip[1])
-    if centre is not None:
-        found += f" about ({centre[0]:.0f}, {centre[1]:.0f})"
-    advice = _ADVICE[kind]
-    if shift:
-        found = f"its labels are shifted by {shift[0]} rows and {shift[1]} columns"
-    if others:
-        advice += f" (cannot be told apart from: {'; '.join(others)})"
-    remedy = f"plane {plane.name}: {found}: {advice}"
-    return Fault(plane.name, kind, size.value, size.error, size.unit, others, centre, None, remedy)
-
-
-@dataclass(frozen=True, slots=True)
-class _Size:
-    value: float
-    error: float
-    unit: str
-
-
-def _written(size: _Size) -> str:
-    """Value and standard error with as many decimals as the error deserves."""
-    digits = max(0, 1 - int(np.floor(np.log10(size.error)))) if size.error > 0 and np.isfinite(size.error) else 3
-    return f"{size.value:+.{digits}f} +- {size.error:.{digits}f} {size.unit}"
-
-
-def _amounts(one: Hypothesis, fit: Explained) -> Array:
-    """Amounts (7,) of the modes of one plane; 0 where not fitted."""
-    amounts = np.zeros(MODES)
-    for mode in range(MODES):
-        column = MODES * one.plane + mode
-        if column in fit.columns:
-            amounts[mode] = fit.amounts[fit.columns.index(column)]
-    return amounts
-
-
-def _size(one: Hypothesis, fit: Explained) -> _Size:
-    """Size of a misplacement: signed for one mode, the length of two, with its standard error along itself."""
-    modes, unit, factor = _MEASURE[one.kind]
-    at = [fit.columns.index(MODES * one.plane + m) for m in modes]
-    vector, covariance = fit.amounts[at], fit.covariance[np.ix_(at, at)]
-    if len(modes) == 1:
-        return _Size(factor * float(vector[0]), factor * float(np.sqrt(covariance[0, 0])), unit)
-    length = float(np.linalg.norm(vector))
-    along = vector / max(length, 1e-300)
-    return _Size(factor * length, factor * float(np.sqrt(along @ covariance @ along)), unit)
-
-
-_MEASURE: dict[str, tuple[tuple[int, ...], str, float]] = {
-    "slip": ((SLIP_X, SLIP_Y), "mm", 1.0),
-    "rotation": ((ROTATION,), "deg", 180.0 / np.pi),
-    "stand_off": ((STAND_OFF,), "mm", 1.0),
-    "pitch": ((PITCH,), "%", 100.0),
-    "tilt": ((TILT_X, TILT_Y), "deg", 180.0 / np.pi),
-}
-_WORDS = {
-    "slip": "slipped sideways by {size}, ({x:+.3f}, {y:+.3f}) along its own x and y",
-    "rotation": "rotated about its normal by {size}",
-    "stand_off": "stands {size} from its stated stand-off",
-    "pitch": "its pitch differs from the stated one by {size}",
-    "tilt": "tilted by {size}",
-}
-_ADVICE: dict[FaultKind, str] = {
-    "slip": "seat the target against its stops and take the images again, or correct `origin`",
-    "rotation": "check how the target is seated and take the images again",
-    "stand_off": "check the offset that was used against `origin`, correct the typing or take the images again",
-    "pitch": "check that this plane was taken with the same target, and its `pitch`",
-    "tilt": "check for dirt under the target or its offsets and take the images again, or correct `rotation`",
-    "labelling": "check the fiducials in the image and `fiducials`, rows and columns of the target",
-}
-
-
-def _whole_pitches(slip: Array, size: _Size, lattice: Lattice) -> tuple[int, int] | None:
-    """Rows and columns of a slip by whole pitches, or None where it is none."""
-    pitches = slip / np.array(lattice.pitch)
-    whole = np.round(pitches)
-    near = np.abs(pitches - whole) * np.array(lattice.pitch) <= max(4 * size.error, 0.02 * min(lattice.pitch))
-    if not whole.any() or not near.all():
-        return None
-    return int(whole[1]), int(whole[0])
-
-
-def _of_mix_up(mixed: MixUp) -> Fault:
-    """A mix-up as a fault without a size."""
-    nan = float("nan")
-    if mixed.kind == "labelling":
-        remedy = (
-            f"plane {mixed.plane}: its labels are {mixed.what} against the other planes: check that the image is not flipped, "
-            "and how the target lies"
-        )
-        return Fault(
-            mixed.plane, "labelling", nan, nan, "", tuple(f"{n}: labelling" for n in mixed.suspects), None, None, remedy
-        )
-    if mixed.kind == "swapped":
-        remedy = (
-            f"plane {mixed.plane}: its images and those of plane {mixed.other} have changed places: exchange `images` of the "
-            "two, or their stand-offs"
-        )
-    else:
-        remedy = (
-            f"plane {mixed.plane}: shows the very view of plane {mixed.other}: the same images are used twice; give the images "
-            f"that were taken at {mixed.plane}, or take them again"
-        )
-    return Fault(
-        mixed.plane, "swapped", nan, nan, "", tuple(f"{n}: swapped" for n in mixed.suspects), None, None, remedy
-    )

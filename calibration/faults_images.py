@@ -18,6 +18,7 @@ from calibration.plane_map import PlaneMarks
 from calibration.polynomial import Domain
 from calibration.ray_field import depth_frame
 
+_ALIKE = 3e-3  # of the scale of the image: changes of less over the stand-offs tell no direction
 _STILL = 0.05  # of the movement that the stand-offs let expect: less, and it is the same view
 
 
@@ -25,9 +26,9 @@ _STILL = 0.05  # of the movement that the stand-offs let expect: less, and it is
 class MixUp:
     """One plane, or two, that are not what they are said to be."""
 
-    kind: Literal["swapped", "repeated", "labelling"]
+    kind: Literal["swapped", "repeated", "labelling", "reversed"]
     plane: str
-    other: str  # with which it is swapped, or whose images it repeats
+    other: str  # whose images it has instead of its own, or repeats
     what: str  # of a labelling: "mirrored left to right", "turned by 90 degrees"
     suspects: tuple[str, ...]  # planes that could as well be the wrong one
 
@@ -37,19 +38,26 @@ def find_mix_ups(planes: Sequence[PlaneMarks]) -> tuple[MixUp, ...]:
 
     Repeated images show by marks that do not move between two stand-offs; wrong labels by a plane whose map from image
     to space has another handedness or orientation than most; exchanged images by a coarse field of rays that fits far
-    better when two planes change places, and about as well as any field that leaves one plane out.
+    better when planes change places, and about as well as any field that leaves one plane out. Stand-offs that all grow
+    towards a camera which sees the target unmirrored ("reversed") leave no residual, but would mirror all that is ranged.
     """
     c_from_d = depth_frame(list(planes))
     found = _repeated(planes, c_from_d) + _labelled(planes, c_from_d)
     wrong = {m.plane for m in found}
     good = [p for p in planes if p.name not in wrong]
-    return tuple(found + _swapped(good, c_from_d))
+    found += _swapped(good, c_from_d)
+    if not any(m.kind == "swapped" for m in found) and len(good) >= 2 and not _seen_from_the_front(good, c_from_d):
+        if len(planes) == 2:
+            found += [MixUp("swapped", a.name, b.name, "", ()) for a, b in (good, good[::-1])]
+        else:
+            found.append(MixUp("reversed", good[0].name, good[-1].name, "", ()))
+    return tuple(found)
 
 
 def untangle(planes: Sequence[PlaneMarks], mixed: Sequence[MixUp]) -> tuple[PlaneMarks, ...]:
     """The planes as they should have been: exchanged ones put back, repeated and mislabelled ones left out."""
     by_name = {p.name: p for p in planes}
-    left_out = {m.plane for m in mixed if m.kind != "swapped"}
+    left_out = {m.plane for m in mixed if m.kind in {"repeated", "labelling"}}
     partner = {m.plane: m.other for m in mixed if m.kind == "swapped"}
     return tuple(
         replace(by_name[partner.get(p.name, p.name)], name=p.name, c_from_plane=p.c_from_plane)
@@ -74,7 +82,7 @@ def _repeated(planes: Sequence[PlaneMarks], c_from_d: Array) -> list[MixUp]:
         expected = rate * abs(float(depth[i] - depth[j]))
         same = moved < _STILL * expected and expected > 1.0 if len(planes) > 2 else moved < 1e-6
         if same and not {planes[i].name, planes[j].name} & {m.plane for m in found}:
-            misfit = [_misfit([p for n, p in enumerate(planes) if n != k], c_from_d) for k in (i, j)]
+            misfit = [coarse_misfit([p for n, p in enumerate(planes) if n != k], c_from_d) for k in (i, j)]
             wrong, right = (i, j) if misfit[0] < misfit[1] else (j, i)
             clear = len(planes) > 3 and max(misfit) > 2 * min(misfit)
             suspects = () if clear else (planes[right].name,)
@@ -91,7 +99,8 @@ def _labelled(planes: Sequence[PlaneMarks], c_from_d: Array) -> list[MixUp]:
     hands = np.array([np.sign(np.linalg.det(m)) for m in maps])
     tie = bool(hands.sum() == 0)
     usual = hands[0] if tie else np.sign(hands.sum())
-    typical = np.median([m for m, h in zip(maps, hands, strict=True) if h == usual], axis=0)
+    alike = [m for m, h in zip(maps, hands, strict=True) if h == usual]
+    typical = min(alike, key=lambda m: sum(float(np.linalg.norm(m - other)) for other in alike))
     found = []
     for k, p in enumerate(planes):
         change = maps[k] @ np.linalg.inv(typical)
@@ -123,33 +132,56 @@ def _symmetry(turn: Array) -> str:
 def _swapped(planes: Sequence[PlaneMarks], c_from_d: Array) -> list[MixUp]:
     if len(planes) < 3:
         return []
-    stated = _misfit(planes, c_from_d)
+    stated = coarse_misfit(planes, c_from_d)
     if stated < 0.3:
         return []
     tried = []
-    for i, j in combinations(range(len(planes)), 2):
-        changed = list(planes)
-        changed[i] = replace(planes[j], c_from_plane=planes[i].c_from_plane)
-        changed[j] = replace(planes[i], c_from_plane=planes[j].c_from_plane)
-        tried.append((_misfit(changed, c_from_d), i, j, _seen_from_the_front(changed, c_from_d)))
-    best = min(tried)[0]
-    without = min(_misfit([p for n, p in enumerate(planes) if n != k], c_from_d) for k in range(len(planes)))
-    if best > stated / 3.0 or best > 1.5 * without:
+    for order in _orders(planes, c_from_d):
+        changed = [replace(planes[j], c_from_plane=p.c_from_plane) for p, j in zip(planes, order, strict=True)]
+        moved = sum(k != j for k, j in enumerate(order))
+        tried.append((not _seen_from_the_front(changed, c_from_d), coarse_misfit(changed, c_from_d), moved, order))
+    best = min(misfit for _, misfit, _, _ in tried)
+    without = min(coarse_misfit([p for n, p in enumerate(planes) if n != k], c_from_d) for k in range(len(planes)))
+    # two planes always fit: with three, one that is somewhere else altogether is no rival to an exchange that fits exactly
+    if best > stated / 3.0 or best > (1.5 * without if len(planes) > 3 else stated / 20.0):
         return []
     # Four evenly spaced planes look alike in reverse order; a camera that sees them unmirrored decides.
-    fitting = sorted((not front, misfit, i, j) for misfit, i, j, front in tried if misfit <= 1.5 * best)
-    _, _, i, j = fitting[0]
-    one, other = planes[i].name, planes[j].name
-    return [MixUp("swapped", one, other, "", ()), MixUp("swapped", other, one, "", ())]
+    order = min((back, moved, misfit, order) for back, misfit, moved, order in tried if misfit <= 1.5 * best)[3]
+    return [MixUp("swapped", planes[k].name, planes[j].name, "", ()) for k, j in enumerate(order) if k != j]
+
+
+def _orders(planes: Sequence[PlaneMarks], c_from_d: Array) -> set[tuple[int, ...]]:
+    """Which plane's images each plane may have instead: every exchange of two, and all of them in the order of their size.
+
+    Before one camera the scale of the image, mm/px, grows steadily with depth, whatever the images were mixed up.
+    """
+    n = len(planes)
+    found = set()
+    for i, j in combinations(range(n), 2):
+        order = list(range(n))
+        order[i], order[j] = j, i
+        found.add(tuple(order))
+    depth = np.array([(p.world @ c_from_d[:, 2]).mean() for p in planes])
+    scale = np.array([abs(float(np.linalg.det(_linear_map(p, c_from_d)))) for p in planes])
+    for by_size in (np.argsort(scale), np.argsort(-scale)):
+        sorted_order = np.empty(n, dtype=np.int64)
+        sorted_order[np.argsort(depth)] = by_size
+        found.add(tuple(sorted_order.tolist()))
+    return found - {tuple(range(n))}
 
 
 def _seen_from_the_front(planes: Sequence[PlaneMarks], c_from_d: Array) -> bool:
-    """Whether a camera that does not mirror can see the target as the planes say: nearer planes look larger."""
+    """Whether a camera that does not mirror can see the target as the planes say: nearer planes look larger.
+
+    True too where the planes look too much alike to tell.
+    """
     depth = np.array([(p.world @ c_from_d[:, 2]).mean() for p in planes])
     maps = [_linear_map(p, c_from_d) for p in planes]
     size = np.sqrt(np.abs([float(np.linalg.det(m)) for m in maps]))  # mm/px, growing away from the camera
-    away = np.sign(np.polyfit(depth - depth.mean(), size, 1)[0])
-    return bool(away * np.sign(np.linalg.det(maps[0])) > 0)
+    slope = float(np.polyfit(depth - depth.mean(), size, 1)[0])
+    if abs(slope) * np.ptp(depth) < _ALIKE * size.mean():
+        return True
+    return bool(slope * float(np.linalg.det(maps[0])) > 0)
 
 
 def _linear_map(marks: PlaneMarks, c_from_d: Array) -> Array:
@@ -158,7 +190,7 @@ def _linear_map(marks: PlaneMarks, c_from_d: Array) -> Array:
     return np.asarray(np.linalg.lstsq(a, (marks.world @ c_from_d)[:, :2], rcond=None)[0][:2].T)
 
 
-def _misfit(planes: Sequence[PlaneMarks], c_from_d: Array) -> float:
+def coarse_misfit(planes: Sequence[PlaneMarks], c_from_d: Array) -> float:
     """Root mean square residual, px, of a coarse field of rays: cubic in the pixel."""
     pixels = np.concatenate([p.pixels for p in planes])
     world = np.concatenate([p.world for p in planes]) @ c_from_d

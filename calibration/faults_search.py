@@ -31,6 +31,7 @@ PENALTY = 9.0  # of chi-square a parameter: a larger hypothesis must be worth it
 UNEXPLAINED = 1e-3  # probability below which what is left is more than noise
 ALIKE = 6.0  # of penalised chi-square: hypotheses closer than this to the best are named with it
 JITTER = ((SLIP_X, SLIP_Y), (ROTATION,), (STAND_OFF,), (TILT_X, TILT_Y))  # modes that share one scatter over planes
+_TWO_SIGMA = 0.02275  # one tail of a normal distribution beyond two standard deviations
 LEAST_FREEDOM = 8  # believed of a scatter over planes, however few they are: a gross fault must not hide in it
 
 
@@ -73,8 +74,9 @@ class Evidence:
     def tempered(self, scatter: Array) -> Evidence:
         """The same where every plane scatters by ``scatter`` (7,) of each mode, one sigma, beside the noise."""
         spread = self.b * np.tile(scatter, self.planes)
-        lower = np.linalg.cholesky(np.eye(len(self.z)) + spread @ spread.T)
-        return Evidence(np.linalg.solve(lower, self.z), np.linalg.solve(lower, self.b), self.planes)
+        u, s, _ = np.linalg.svd(spread, full_matrices=False)  # no Cholesky: scatter may be a million times the noise
+        less = 1.0 - 1.0 / np.sqrt(1.0 + s**2)
+        return Evidence(self.z - (u * less) @ (u.T @ self.z), self.b - (u * less) @ (u.T @ self.b), self.planes)
 
     def fit(self, hypotheses: Sequence[Hypothesis]) -> Explained:
         """Least squares of some hypotheses together."""
@@ -114,6 +116,19 @@ class Choice:
     evidence: Evidence
     scatter: Array  # (7,) by which planes were found to scatter in each mode beside the faults, one sigma
 
+    def widening(self, kind: Misplacement) -> float:
+        """By what a standard error is to be enlarged, so that two of them still cover 95 % (Student 1908).
+
+        The scatter of the planes is estimated from few of them, so that a size over its standard error has longer tails.
+        """
+        from scipy.stats import t
+
+        if not self.scatter.any():
+            return 1.0
+        left = max(self.evidence.planes - 2 - len(self.hypotheses), 1)
+        freedom = min(len(g) * left for g in JITTER if set(g) & set(MODES_OF[kind]) or kind == "pitch")
+        return float(t.isf(_TWO_SIGMA, freedom) / 2.0)
+
 
 def singles(planes: int) -> list[Hypothesis]:
     """All hypotheses on one plane."""
@@ -148,7 +163,7 @@ def choose(evidence: Evidence) -> Choice:
     none = np.zeros(MODES)
     if evidence.planes < 3 or not len(evidence.z):
         return Choice((), evidence, none)
-    chosen = _select(evidence, None)
+    chosen = select(evidence)
     if not _left_over(evidence, chosen):
         return Choice(chosen, evidence, none)
     for _ in range(3):  # what no longer stands out belongs to the scatter
@@ -156,7 +171,7 @@ def choose(evidence: Evidence) -> Choice:
         if not scatter.any():
             return Choice(chosen, evidence, none)
         tempered = evidence.tempered(scatter)
-        before, chosen = chosen, _select(tempered, scatter)
+        before, chosen = chosen, select(tempered, scatter)
         if chosen == before:
             break
     return Choice(chosen, tempered, scatter)
@@ -175,8 +190,8 @@ def _left_over(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> bool:
     return freedom > 0 and bool(chi2.sf(evidence.total - fit.gain, freedom) < UNEXPLAINED)
 
 
-def _select(evidence: Evidence, scatter: Array | None) -> tuple[Hypothesis, ...]:
-    """Nothing, one, two, or more hypotheses, each step significant after Bonferroni."""
+def select(evidence: Evidence, scatter: Array | None = None) -> tuple[Hypothesis, ...]:
+    """Nothing, one, two, or more hypotheses, each step significant after Bonferroni, beside a scatter of the planes."""
     from scipy.stats import chi2
 
     if chi2.sf(evidence.total, len(evidence.z)) > 0.05:
@@ -242,8 +257,9 @@ def _scatter(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> Array:
     variance = np.zeros(len(JITTER))
 
     def minus_log_likelihood(v: Array) -> float:
-        lower = np.linalg.cholesky(np.eye(len(z)) + sum(x * o for x, o in zip(v, outer, strict=True)))
-        return float(2 * np.log(np.diag(lower)).sum() + (np.linalg.solve(lower, z) ** 2).sum())
+        values, vectors = np.linalg.eigh(np.eye(len(z)) + sum(x * o for x, o in zip(v, outer, strict=True)))
+        values = np.maximum(values, 1.0)
+        return float(np.log(values).sum() + ((vectors.T @ z) ** 2 / values).sum())
 
     for _ in range(3):
         for k, group in enumerate(JITTER):
@@ -259,23 +275,24 @@ def _scatter(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> Array:
     return scatter
 
 
-def alternatives(choice: Choice, one: Hypothesis) -> list[tuple[Hypothesis, Explained]]:
-    """Other hypotheses that explain the evidence about as well as ``one`` does, the other chosen ones kept.
+def alternatives(choice: Choice, own: tuple[Hypothesis, ...]) -> list[tuple[Hypothesis, Explained]]:
+    """Other hypotheses that explain the evidence about as well as ``own``, of one plane, the other chosen ones kept.
 
     A wrong stand-off and a wrong pitch of one plane differ by a slip only; so each is held against the other with a slip
     allowed.
     """
-    others = tuple(h for h in choice.hypotheses if h != one)
+    others = tuple(h for h in choice.hypotheses if h not in own)
     best = choice.evidence.fit(choice.hypotheses)
     taken = {h.plane for h in others}
+    kinds = {h.kind for h in own}
     found = []
     for h in singles(choice.evidence.planes):
-        if h == one or h.plane in taken:
+        if h in own or h.plane in taken:
             continue
-        if h.plane == one.plane and set(MODES_OF[one.kind]) <= set(MODES_OF[h.kind]):
+        if h.plane == own[0].plane and any(set(MODES_OF[one.kind]) <= set(MODES_OF[h.kind]) for one in own):
             continue  # a larger hypothesis that contains this one
         fit = choice.evidence.fit((*others, h))
-        if h.plane == one.plane and {h.kind, one.kind} == {"stand_off", "pitch"}:
+        if h.plane == own[0].plane and {h.kind} | (kinds - {"slip"}) == {"stand_off", "pitch"}:
             slipped = choice.evidence.fit((*others, h, Hypothesis(h.plane, "slip")))
             if slipped.gain > best.gain - ALIKE:
                 found.append((h, slipped))

@@ -101,6 +101,12 @@ def label_grid(
     points = spots.centroids
     lattice = index_lattice(points, target.pitch[0] / target.pitch[1])
     index, on = lattice.index, lattice.on
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] < 0.02 * spread[0]:
+        raise CalibrationError(
+            f"the {len(spots)} spots found lie on one line, from which no plane follows; spots of two rows or more of the grid "
+            f"of {target.rows} x {target.columns} are needed: uncover or light the rest of the target"
+        )
     if on.sum() < max(least, len(spots) // 3):
         raise CalibrationError(
             f"only {int(on.sum())} of {len(spots)} spots form a grid; the grid of {target.rows} x {target.columns} "

@@ -10,8 +10,11 @@ import numpy as np
 
 from calibration.analysis import GRID, pixel_grid
 from calibration.camera import Camera
+from calibration.errors import CalibrationError
 from calibration.geometry import Array, Rays
+from calibration.pinhole import FreehandFit, refit_without
 from calibration.plane_map import PlaneMap, PlaneMarks, rms
+from calibration.pose_of_target import locate_target
 from calibration.ray_field import RayField
 from calibration.two_plane import TwoPlaneCamera, TwoPlaneFit
 
@@ -93,6 +96,29 @@ def against(camera: Camera, marks: PlaneMarks) -> HeldOut:
     px = _to_px(movement, rays, offset)
     inside = camera.volume.contains(world, margin=0.0)
     return HeldOut(marks.name, rms(offset), rms(px), offset.mean(axis=0), len(marks), bool(inside.mean() > 0.5))
+
+
+def leave_views_out(fit: FreehandFit) -> tuple[HeldOut, ...]:
+    """Leave every freehand view out in turn and test the pinhole of the others on it.
+
+    The view's own pose has to be estimated from it, by the rays of the others, so that the six numbers of a pose are
+    missing from the error: what is left is how well the rays of a camera that never saw the view fit its flat target.
+    Empty with fewer than four views. No view is "between" others.
+    """
+    if len(fit.views) < 4:
+        return ()
+    found = []
+    for k, view in enumerate(fit.views):
+        camera = refit_without(fit, k)
+        try:
+            placed = locate_target(camera, view)
+        except CalibrationError:
+            placed = view  # the pose from the fit with all views
+        rays = camera.rays(view.pixels)
+        offset = _perpendicular(rays, placed.world)
+        px = _to_px(camera.shift(view.pixels, placed.world), rays, offset)
+        found.append(HeldOut(view.name, rms(offset), rms(px), offset.mean(axis=0), len(view), False))
+    return tuple(found)
 
 
 def _two_plane_rays(maps: tuple[PlaneMap, ...], field: RayField, marks: PlaneMarks) -> Rays:

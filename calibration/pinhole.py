@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -104,7 +105,13 @@ class FreehandFit:
         return rms(np.concatenate(self.residuals))
 
 
-def fit_freehand(views: list[PlaneMarks], size: tuple[int, int], *, outlier: float = 4.0) -> FreehandFit:
+def fit_freehand(
+    views: list[PlaneMarks],
+    size: tuple[int, int],
+    *,
+    outlier: float = 4.0,
+    dropped: Sequence[tuple[str, str]] = (),
+) -> FreehandFit:
     """Fit a pinhole to freehand views with OpenCV's calibrateCamera (Zhang 2000), leaving out views that do not belong.
 
     Parameters
@@ -115,21 +122,25 @@ def fit_freehand(views: list[PlaneMarks], size: tuple[int, int], *, outlier: flo
         Of the images, px.
     outlier : float
         A view whose rms is more than this many times the median of the views' rms is dropped, worst first.
+    dropped : sequence of (name, reason)
+        Views that were left out before; they are told with those left out here.
 
     Raises
     ------
     CalibrationError
         Fewer than three usable views, or views all parallel, from which focal length and distance cannot be told apart.
     """
-    kept, dropped = _usable(views)
+    asked = len(views) + len(dropped)
+    kept, few = _usable(views)
+    dropped = [*dropped, *few]
     while True:
         if len(kept) < 3:
             reasons = "; ".join(f"{name}: {reason}" for name, reason in dropped)
             raise CalibrationError(
-                f"{len(kept)} usable freehand view(s) of {len(views)}; a camera needs three or more, tilted differently: "
+                f"{len(kept)} usable freehand view(s) of {asked}; a camera needs three or more, tilted differently: "
                 f"take more views{' (' + reasons + ')' if reasons else ''}"
             )
-        fit = _calibrate(kept, size, dropped)
+        fit = _calibrate(kept, size, list(dropped))
         each = np.array([rms(r) for r in fit.residuals])
         worst = int(np.argmax(each))
         if each[worst] <= max(outlier * float(np.median(each)), 0.05):
@@ -138,6 +149,12 @@ def fit_freehand(views: list[PlaneMarks], size: tuple[int, int], *, outlier: flo
         reason = f"rms {each[worst]:.2f} px where the median view has {np.median(each):.2f} px"
         dropped = [*dropped, (kept[worst].name, reason)]
         kept = [v for k, v in enumerate(kept) if k != worst]
+
+
+def refit_without(fit: FreehandFit, left_out: int) -> PinholeCamera:
+    """The pinhole fitted again to all views but one, from where all of them put it."""
+    kept = [view for k, view in enumerate(fit.views) if k != left_out]
+    return _calibrate(kept, fit.camera.size, [], start=fit.camera).camera
 
 
 def _usable(views: list[PlaneMarks]) -> tuple[list[PlaneMarks], list[tuple[str, str]]]:
@@ -150,11 +167,23 @@ def _usable(views: list[PlaneMarks]) -> tuple[list[PlaneMarks], list[tuple[str, 
     return kept, dropped
 
 
-def _calibrate(views: list[PlaneMarks], size: tuple[int, int], dropped: list[tuple[str, str]]) -> FreehandFit:
+def _calibrate(
+    views: list[PlaneMarks],
+    size: tuple[int, int],
+    dropped: list[tuple[str, str]],
+    start: PinholeCamera | None = None,
+) -> FreehandFit:
     objects = [np.column_stack([v.points, np.zeros(len(v))]).astype(np.float32) for v in views]
     images = [v.pixels.astype(np.float32) for v in views]
+    first = (
+        (None, None, 0)
+        if start is None
+        else (start.matrix.copy(), start.distortion.copy(), cv2.CALIB_USE_INTRINSIC_GUESS)
+    )
     try:
-        _, matrix, distortion, rotations, translations = cv2.calibrateCamera(objects, images, size, None, None)[:5]
+        _, matrix, distortion, rotations, translations = cv2.calibrateCamera(
+            objects, images, size, first[0], first[1], flags=first[2]
+        )[:5]
     except cv2.error as error:
         raise CalibrationError(
             f"OpenCV could not calibrate from {len(views)} views ({str(error.err)[:80]}): take views tilted differently"

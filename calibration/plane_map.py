@@ -201,16 +201,22 @@ class Conditioning:
 
     span: float  # orders of magnitude between the largest and the smallest element of P'P
     condition: float  # of P'P
+    dependence: float  # largest |cosine| between two columns of P; 1 is dependent
     error: float  # mm, rms difference of the map from the orthogonal solution, at the marks
+    error_single: float  # mm, the same in single precision, which the paper's day had; NaN where it is singular there
 
 
 def normal_equations(
     marks: PlaneMarks,
     *,
     terms: Terms = "paper",
-    coordinates: Literal["pixels", "unit", "centred"] = "unit",
+    coordinates: Literal["pixels", "unit", "centred", "chebyshev"] = "unit",
 ) -> tuple[Array, Conditioning]:
     """Solve the paper's normal equations by LU with powers of the pixel, for comparison with the orthogonal solver.
+
+    On a symmetric grid the sums of odd powers cancel about the centre, so that elements of P'P span more orders there; but
+    its columns are less alike and its condition is better than with the origin in a corner. In double precision LU loses
+    nothing that matters in any of them (scaling columns does not change its pivots), in single precision it does.
 
     Parameters
     ----------
@@ -218,9 +224,9 @@ def normal_equations(
         Marks of one plane.
     terms : Terms
         As in `fit_plane_map`.
-    coordinates : "pixels", "unit" or "centred"
-        Raw pixels; normalised to (0, 1) with the origin in a corner, as the paper recommends; or to (-1, 1) about the
-        centre, which it warns of.
+    coordinates : "pixels", "unit", "centred" or "chebyshev"
+        Raw pixels; normalised to (0, 1) with the origin in a corner, as the paper recommends; to (-1, 1) about the
+        centre, which it warns of; or products of Chebyshev polynomials of the latter, which SCOPE fits with (by QR).
 
     Returns
     -------
@@ -233,15 +239,33 @@ def normal_equations(
         "pixels": marks.pixels,
         "unit": (marks.pixels - low) / (high - low),
         "centred": (2 * marks.pixels - low - high) / (high - low),
+        "chebyshev": (2 * marks.pixels - low - high) / (high - low),
     }[coordinates]
     pairs = np.array(polynomial.exponents(terms))
-    p = scaled[:, 1:] ** pairs[:, 0] * scaled[:, :1] ** pairs[:, 1]
+    if coordinates == "chebyshev":
+        p = polynomial.design(scaled, terms)
+    else:
+        p = scaled[:, 1:] ** pairs[:, 0] * scaled[:, :1] ** pairs[:, 1]
     gram = p.T @ p
     sizes = np.abs(gram[gram != 0])
     try:
-        coefficients = np.linalg.solve(gram, p.T @ marks.points)
+        coefficients = np.asarray(np.linalg.solve(gram, p.T @ marks.points), dtype=np.float64)
     except np.linalg.LinAlgError:
         coefficients = np.full((len(pairs), 2), np.nan)
     reference = fit_plane_map(marks, order=terms).map.plane_points(marks.pixels)
     span = float(np.log10(sizes.max() / sizes.min()))
-    return coefficients, Conditioning(span, float(np.linalg.cond(gram)), rms(p @ coefficients - reference))
+    unit = p / np.linalg.norm(p, axis=0)
+    dependence = float(np.abs(unit.T @ unit - np.eye(len(pairs))).max())
+    single = rms(p @ _in_single(p, marks.points) - reference)
+    return coefficients, Conditioning(
+        span, float(np.linalg.cond(gram)), dependence, rms(p @ coefficients - reference), single
+    )
+
+
+def _in_single(p: Array, points: Array) -> Array:
+    """Coefficients (d, 2) of the normal equations formed and solved in single precision; NaN where singular."""
+    p32, w32 = p.astype(np.float32), points.astype(np.float32)
+    try:
+        return np.asarray(np.linalg.solve(p32.T @ p32, p32.T @ w32), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.full((p.shape[1], 2), np.nan)

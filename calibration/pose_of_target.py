@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import cv2
 import numpy as np
 
-from calibration.camera import Camera, centre_of
+from calibration.camera import centre_of
 from calibration.errors import CalibrationError
-from calibration.geometry import Pose, Rays
+from calibration.geometry import Array, Pose, Rays
 from calibration.plane_map import PlaneMarks
 
 
-def locate_target(camera: Camera, marks: PlaneMarks) -> PlaneMarks:
+class Sighting(Protocol):
+    """A camera, or a bare field of rays."""
+
+    def rays(self, pixels: Array) -> Rays:
+        """Sighting rays in C of pixels (N, 2) px."""
+        ...
+
+
+def locate_target(camera: Sighting, marks: PlaneMarks) -> PlaneMarks:
     """Marks of a freehand view with the pose that brings them nearest to their sighting rays.
 
     Starts from OpenCV's plane pose with the rays' nearest point as centre, and then minimises the distances between
@@ -59,6 +69,26 @@ def locate_target(camera: Camera, marks: PlaneMarks) -> PlaneMarks:
             "the target of this file?"
         )
     return PlaneMarks(marks.name, marks.pixels, marks.points, pose, marks.mark, marks.covariance)
+
+
+def centre_covariance(camera: Sighting, placed: PlaneMarks) -> Array:
+    """Covariance (3, 3) mm^2 of the middle of a located target, from how far its marks lie from their rays.
+
+    The marks of a rigid target share the error of its pose: along the sighting direction it is far larger than across.
+    """
+    rays, world = camera.rays(placed.pixels), placed.world
+    known = np.isfinite(rays.direction).all(axis=1)
+    direction, world = rays.direction[known], world[known]
+    gap = world - rays.origin[known]
+    project = np.eye(3) - np.einsum("ni,nj->nij", direction, direction)
+    arm = world - world.mean(axis=0)
+    cross = np.zeros((len(arm), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = arm[:, 2], -arm[:, 1], arm[:, 0]
+    cross -= cross.transpose(0, 2, 1)
+    jacobian = np.concatenate([project @ cross, project], axis=2).reshape(-1, 6)
+    across = np.einsum("nij,nj->ni", project, gap)
+    variance = float((across**2).sum()) / max(2 * len(arm) - 6, 1)
+    return np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian)[3:, 3:])
 
 
 def _facing(axis: np.typing.NDArray[np.float64]) -> np.typing.NDArray[np.float64]:

@@ -10,18 +10,16 @@ solve, and the shift of every single mark by itself (Baarda's data snooping).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from calibration import placement, polynomial
+from calibration import placement
 from calibration.geometry import Array, Ints
 from calibration.placement import MODES
 from calibration.plane_map import PlaneMarks
-from calibration.ray_field import MAX_ORDER, RayField
-
-EXTRA_ORDER = 2  # above the best order, so that what a lens does beyond it is not taken for a misplaced plane
-LEAST_ORDER = 3  # follows every placement mode, so that common ones stay invisible
+from calibration.ray_field import RayField
+from calibration.sightings import Sightings, fit_field
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,34 +48,6 @@ class Redundancy:
         return len(self.score) // MODES
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    """All marks, ordered by their number so that the sightings of one mark are neighbours."""
-
-    planes: tuple[PlaneMarks, ...]
-    order: Ints  # (N,) from the planes' order to this one
-    back: Ints  # (N,) and back
-    plane: Ints  # (N,)
-    first: Ints  # (m,) first row of each mark
-    mark: Ints  # (m,) its number
-    pixels: Array  # (N, 2)
-    world: Array  # (N, 3) mm in D
-
-    @classmethod
-    def of(cls, planes: Sequence[PlaneMarks], c_from_d: Array) -> _Rows:
-        mark = np.concatenate([p.mark for p in planes])
-        order = np.argsort(mark, kind="stable")
-        first = np.flatnonzero(np.diff(mark[order], prepend=mark.min() - 1))
-        plane = np.repeat(np.arange(len(planes)), [len(p) for p in planes])[order]
-        pixels = np.concatenate([p.pixels for p in planes])[order]
-        world = (np.concatenate([p.world for p in planes]) @ c_from_d)[order]
-        return cls(tuple(planes), order, np.argsort(order), plane, first, mark[order][first], pixels, world)
-
-    def gather(self, blocks: list[Array]) -> Array:
-        """Arrays a plane, as one in this order."""
-        return np.asarray(np.concatenate(blocks)[self.order])
-
-
 def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
     """Eliminate the field of rays and judge the planes by what is left.
 
@@ -91,10 +61,10 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
     Notes
     -----
     The orders of the field are those that predict best all sightings of a mark left out together (leaving out one
-    sighting only would let the field learn the errors of the target), and then higher by `EXTRA_ORDER`.
+    sighting only would let the field learn the errors of the target), and then higher by `sightings.EXTRA_ORDER`.
     """
-    rows = _Rows.of(planes, basis.c_from_d)
-    field = _fit_field(rows, basis)
+    rows = Sightings.of(planes, basis.c_from_d)
+    field = fit_field(rows, basis)
     here = placement.expected(field, rows.pixels, rows.world)
     to_px = np.linalg.inv(field.jacobian(here, rows.world[:, 2]))
     design = field.design(here, rows.world[:, 2])
@@ -169,7 +139,7 @@ class _Solution:
         return np.asarray(np.einsum("ni,nij,nj->n", self.pull, self.pull_inverse, self.pull))
 
 
-def _solve(rows: _Rows, x: Array, spread: Array, terms: int, ratio: float) -> _Solution:
+def _solve(rows: Sightings, x: Array, spread: Array, terms: int, ratio: float) -> _Solution:
     """Least squares of the last column by the others, under the covariance 1 + ratio * (target's part)."""
     whiten = _Whitener(rows, spread, ratio)
     w = whiten(x)
@@ -212,7 +182,7 @@ def _solve(rows: _Rows, x: Array, spread: Array, terms: int, ratio: float) -> _S
 class _Whitener:
     """Multiplies rows by (1 + ratio K K')^(-1/2), K stacking the target's part over the sightings of each mark."""
 
-    def __init__(self, rows: _Rows, spread: Array, ratio: float) -> None:
+    def __init__(self, rows: Sightings, spread: Array, ratio: float) -> None:
         self.first, self.spread, self.ratio = rows.first, spread, ratio
         self.mark = np.repeat(np.arange(len(rows.first)), np.diff(np.append(rows.first, len(rows.plane))))
         inner = np.add.reduceat(np.swapaxes(spread, 1, 2) @ spread, rows.first)
@@ -239,7 +209,7 @@ class _Whitener:
         return np.asarray(np.eye(2) + self.spread @ self.core_squared[self.mark] @ np.swapaxes(self.spread, 1, 2))
 
 
-def _refine(rows: _Rows, x: Array, spread: Array, terms: int, ratio: float) -> tuple[float, _Solution]:
+def _refine(rows: Sightings, x: Array, spread: Array, terms: int, ratio: float) -> tuple[float, _Solution]:
     """Ratio of variances by restricted maximum likelihood from a first estimate, and the solution under it.
 
     There the squared pulls of the target's marks are just what their covariance gives (Patterson & Thompson 1971); the
@@ -259,7 +229,7 @@ def _refine(rows: _Rows, x: Array, spread: Array, terms: int, ratio: float) -> t
     return float(np.exp(at)), solution
 
 
-def _target_ratio(rows: _Rows, x: Array, solution: _Solution, spread: Array) -> float:
+def _target_ratio(rows: Sightings, x: Array, solution: _Solution, spread: Array) -> float:
     """Variance of a mark of the target over that of a centroid, mm^2/px^2; 0 where it does not show.
 
     Moments: the mean square of the residuals' means over the sightings of a mark, against that of their scatter about
@@ -285,7 +255,7 @@ def _target_ratio(rows: _Rows, x: Array, solution: _Solution, spread: Array) -> 
     return (f - 1.0) / scale
 
 
-def _noise_profile(rows: _Rows, solution: _Solution) -> Array | None:
+def _noise_profile(rows: Sightings, solution: _Solution) -> Array | None:
     """Noise (N,) of each centroid relative to the typical one, or None where it is the same everywhere.
 
     Planes out of focus are noisier as a whole, and spots far from the middle of the image as a rule. The logarithm of
@@ -308,62 +278,3 @@ def _noise_profile(rows: _Rows, solution: _Solution) -> Array | None:
     if not np.isfinite(gain) or chi2.sf(gain, planes.shape[1]) > 1e-3:
         return None
     return np.asarray(np.exp((level - level.mean()) / 2.0))
-
-
-def _fit_field(rows: _Rows, basis: RayField) -> RayField:
-    """Field whose orders predict best the sightings of a mark left out, raised by `EXTRA_ORDER`."""
-    depth, across = rows.world[:, 2], rows.world[:, :2]
-    fewest = min(len(p) for p in rows.planes)
-    highest = max(n for n in range(1, MAX_ORDER + 1) if n == 1 or fewest >= 1.5 * len(polynomial.exponents(n)))
-    start = _solve_field(rows, basis, min(3, highest), min(1, highest), np.ones(len(depth)))
-    weight = 1.0 / np.sqrt(np.maximum(np.abs(np.linalg.det(start.jacobian(rows.pixels, depth))), 1e-30))
-    square = basis.domain.square(rows.pixels)
-    lever = ((depth - basis.pivot) / basis.reach)[:, None]
-    terms = polynomial.design(square, highest)
-    error: dict[tuple[int, int], float] = {}
-    # one triangular basis holds, as its leading columns, every order of B with A of order 3 at most
-    columns, steps = [], []
-    for n in range(highest + 1):
-        degree = np.array([sum(pair) for pair in polynomial.exponents(highest)])
-        columns.append(terms[:, degree == n] * lever)
-        if n <= LEAST_ORDER:
-            columns.append(terms[:, degree == n])
-        steps.append(sum(c.shape[1] for c in columns))
-    a = np.hstack(columns) * weight[:, None]
-    y = across * weight[:, None]
-    gram = a.T @ a
-    lower = np.linalg.cholesky(gram + 1e-12 * np.diag(np.diag(gram)))
-    q = a @ np.linalg.inv(lower).T
-    count = np.diff(np.append(rows.first, len(depth)))
-    slots = np.repeat(np.arange(len(count)), count), np.arange(len(depth)) - np.repeat(rows.first, count)
-    padded = np.zeros((len(count), int(count.max()), q.shape[1]))
-    padded[slots] = q
-    residual = np.zeros((len(count), int(count.max()), 2))
-    residual[slots] = y
-    hat = np.zeros((len(count), padded.shape[1], padded.shape[1]))
-    before = 0
-    for n, step in enumerate(steps):
-        block = padded[:, :, before:step]
-        residual -= block @ (q[:, before:step].T @ y)
-        hat += block @ np.swapaxes(block, 1, 2)
-        before = step
-        if n and len(depth) >= 1.2 * step:
-            out = np.linalg.solve(np.eye(hat.shape[1]) * (1 + 1e-9) - hat, residual)
-            error[n, min(n, LEAST_ORDER)] = float((out**2).mean())
-    best = min(error, key=lambda pair: error[pair])[0]
-    slope_order = min(max(best + EXTRA_ORDER, LEAST_ORDER), highest)
-    origin_order = min(slope_order, LEAST_ORDER)
-    return _solve_field(rows, basis, slope_order, origin_order, weight)
-
-
-def _solve_field(rows: _Rows, basis: RayField, slope_order: int, origin_order: int, weight: Array) -> RayField:
-    field = replace(basis, slope_order=slope_order, origin_order=origin_order)
-    a = field.design(rows.pixels, rows.world[:, 2]) * weight[:, None]
-    y = rows.world[:, :2] * weight[:, None]
-    gram = a.T @ a
-    lower = np.linalg.cholesky(gram + 1e-13 * np.diag(np.diag(gram)))
-    inverse_lower = np.linalg.inv(lower)
-    inverse = inverse_lower.T @ inverse_lower
-    coefficients = inverse @ (a.T @ y)
-    coefficients += inverse @ (a.T @ (y - a @ coefficients))  # one step of refinement
-    return replace(field, coefficients=coefficients, inverse=inverse)

@@ -43,11 +43,7 @@ def spot_mask(light: NDArray[np.float32], *, window: int | None = None) -> NDArr
     weight = np.maximum(gradient - 4.0 * float(np.median(gradient[::4, ::4])), 0.0)
     total = float(weight.sum())
     if not total > 0.0:
-        low, high = float(light.min()), float(light.max())
-        raise CalibrationError(
-            f"the image shows nothing: its grey levels lie between {abs(low):.0f} and {abs(high):.0f}; "
-            "spots with contrast are needed: check exposure, illumination and lens cap"
-        )
+        raise CalibrationError(_nothing(light))
     window = max(31, min(height, width) // 16 | 1) if window is None else window
     # the two means are taken on pixels of 16 x 16, which costs nothing and is fine enough
     small = (max(half.shape[1] // 8, 1), max(half.shape[0] // 8, 1))
@@ -60,3 +56,19 @@ def spot_mask(light: NDArray[np.float32], *, window: int | None = None) -> NDArr
     )
     threshold = cv2.resize(mean, (width, height), interpolation=cv2.INTER_LINEAR)
     return np.asarray(cv2.compare(light, threshold, cv2.CMP_GT), dtype=np.uint8)
+
+
+def _nothing(light: NDArray[np.float32]) -> str:
+    """What is wrong with an image without any edge; levels of dark targets come with a minus."""
+    low, high = sorted((abs(float(light.min())), abs(float(light.max()))))
+    tops = tuple(float(2**bits - 1) for bits in (8, 10, 12, 14, 16))
+    if low == high == 0.0:
+        found, advice = "is black: all grey levels are 0", "check lens cap, illumination and exposure"
+    elif low in tops and low == high:
+        found, advice = f"is saturated: all grey levels are {high:.0f}", "expose shorter or dim the light"
+    else:
+        found, advice = (
+            f"shows nothing: its grey levels lie between {low:.0f} and {high:.0f}",
+            "check exposure and illumination",
+        )
+    return f"the image {found}; spots with contrast are needed: {advice}"

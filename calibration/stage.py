@@ -10,6 +10,8 @@ import numpy as np
 from calibration.errors import CalibrationError
 from calibration.geometry import Array
 
+_CHANCE = 0.01  # of a scatter of the positions about their line that is taken for noise
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
@@ -23,12 +25,16 @@ class Stage:
     rms_mm: float  # of the marks about the motion
 
 
-def fit_linear(tracks: Array, positions: Array) -> Stage:
+def fit_linear(tracks: Array, positions: Array, *, covariance: Array | None = None) -> Stage:
     """Direction of travel from marks (positions, marks, 3) mm, each seen at every position (n,) mm.
 
-    Each mark moves along x0 + s d with one d for all: linear least squares, eliminating the x0.
+    Each mark moves along x0 + s d with one d for all: linear least squares, eliminating the x0. ``covariance`` (n, 3, 3)
+    mm^2 is that of the middle of the target at each position: the marks of a rigid target err together. Without it the
+    marks are taken to err each by itself. Where the middles scatter more than that about the line, the scatter counts.
     ``CalibrationError`` where the positions do not differ or the marks do not move.
     """
+    from scipy.stats import chi2
+
     s = positions - positions.mean()
     if not np.abs(s).max() > 0:
         raise CalibrationError(f"stage: all {len(s)} positions are {positions[0]:g} mm; move the target between images")
@@ -43,6 +49,14 @@ def fit_linear(tracks: Array, positions: Array) -> Stage:
         raise CalibrationError(
             f"stage: the target moves by {length:.4f} mm a stated mm; it does not seem to be on the stage"
         )
+    spread = sigma**2 / tracks.shape[1] * np.eye(3)
+    each = np.broadcast_to(spread, (len(s), 3, 3)) if covariance is None else covariance
+    of_vector = np.einsum("p,pij->ij", s**2, each) / (s @ s) ** 2
+    middle = residual.mean(axis=1)
+    left = float(np.einsum("pi,pi->", middle, np.linalg.solve(each, middle[:, :, None])[:, :, 0]))
+    beyond = left / (3 * len(s) - 6) if len(s) > 2 and chi2.sf(left, 3 * len(s) - 6) < _CHANCE else 1.0
+    across = np.eye(3) - np.outer(vector, vector) / length**2
+    error = float(np.sqrt(beyond * np.trace(across @ of_vector @ across) / 2))
     start = tracks[int(np.argmin(positions))].mean(axis=0)
     rms = float(np.sqrt((residual**2).sum(axis=2).mean()))
     return Stage("linear", vector / length, start, error / length, length, rms)

@@ -22,7 +22,7 @@ from scope.calibration_file import CalibrationPlan, read_calibration
 from scope.find_laser import LaserView, find_lasers
 from scope.find_marks import SeenPlane, see_plane
 from scope.find_stage import find_stages
-from scope.verdict import Verdict, judge_freehand, judge_jig
+from scope.verdict import Dropped, Verdict, judge_freehand, judge_jig
 from scope.version import __version__
 
 Model = Literal["auto", "two-plane", "joint", "pinhole"]
@@ -73,15 +73,22 @@ def calibrate(
     """
     plan = read_calibration(Path(path))
     _check_model(plan, model)
-    seen = []
+    on_jig = any(plane.c_from_target is not None for plane in plan.planes)
+    seen: list[SeenPlane] = []
+    dropped: list[Dropped] = []  # views by hand: the others may do without them
     for k, plane in enumerate(plan.planes):
-        seen.append(see_plane(plan, plane))
+        try:
+            seen.append(see_plane(plan, plane))
+        except CalibrationError as error:
+            if on_jig:
+                raise
+            dropped.append((plane.name, str(error).removeprefix(f"{plan.path}: plane {plane.name}: ")))
         on_plane(k + 1, len(plan.planes))
-    size = _one_size(plan, seen)
+    size = _one_size(plan, seen) if seen else (0, 0)
     jig = [s.marks for s in seen if s.plan.c_from_target is not None]
     if jig:
         return _finish_jig(plan, seen, jig, size, model, order)
-    return _finish_freehand(plan, seen, size)
+    return _finish_freehand(plan, seen, dropped, size)
 
 
 def _check_model(plan: CalibrationPlan, model: Model) -> None:
@@ -125,7 +132,7 @@ def _finish_jig(
     planes = [(s.plan, placed.get(s.plan.name) or _located(plan, fit.camera, s)) for s in seen]
     lasers, views = find_lasers(plan, fit.camera, planes, curved=None)
     stages = find_stages(plan, fit.camera)
-    verdict = judge_jig(plan, seen, fit, lasers)
+    verdict = judge_jig(plan, seen, fit, lasers, stages)
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, fit, None)
 
 
@@ -136,16 +143,18 @@ def _located(plan: CalibrationPlan, camera: AnyCamera, seen: SeenPlane) -> Plane
         raise CalibrationError(f"{plan.path}: {error}") from error
 
 
-def _finish_freehand(plan: CalibrationPlan, seen: list[SeenPlane], size: tuple[int, int]) -> Calibration:
+def _finish_freehand(
+    plan: CalibrationPlan, seen: list[SeenPlane], dropped: list[Dropped], size: tuple[int, int]
+) -> Calibration:
     try:
-        fit = fit_freehand([s.marks for s in seen], size)
+        fit = fit_freehand([s.marks for s in seen], size, dropped=dropped)
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
     placed = {view.name: view for view in fit.views}
     planes = [(s.plan, placed[s.plan.name]) for s in seen if s.plan.name in placed]
     lasers, views = find_lasers(plan, fit.camera, planes, curved=False)
     stages = find_stages(plan, fit.camera)
-    verdict = judge_freehand(plan, seen, fit, lasers)
+    verdict = judge_freehand(plan, seen, fit, lasers, stages)
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, None, fit)
 
 

@@ -112,7 +112,7 @@ def _find_grid(target: SpotGrid, plane: PlanePlan, image: Image) -> _Found:
 
 
 def _find_listed(plan: CalibrationPlan, listed: ListedMarks, image: Image) -> _Found:
-    from calibration.spots import measure_marks
+    from calibration.marks import measure_marks
 
     everything = np.arange(len(listed.pixels))
     if not listed.refine:
@@ -215,7 +215,7 @@ def _repeats(plan: CalibrationPlan, plane: PlanePlan, images: list[Image], found
     refined = plane.listed is None or plane.listed.refine
     if len(images) < 2 or not refined or not (plane.listed is not None or isinstance(plan.target, SpotGrid)):
         return float("nan"), float("nan")
-    from calibration.spots import measure_marks
+    from calibration.marks import measure_marks
 
     shifts, noises = [], []
     for image in images:

@@ -8,7 +8,7 @@ from calibration.camera import Camera
 from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array, Ints
 from calibration.plane_map import PlaneMarks
-from calibration.pose_of_target import locate_target
+from calibration.pose_of_target import centre_covariance, locate_target
 from calibration.stage import Stage, fit_linear, fit_turntable
 from scope.calibration_file import CalibrationPlan, PlanePlan, StagePlan
 from scope.find_marks import see_plane
@@ -46,7 +46,9 @@ def _find(plan: CalibrationPlan, camera: Camera, stage: StagePlan, number: int) 
     tracks = np.stack([_of_marks(view, common) for view in views])
     try:
         if stage.kind == "linear":
-            return fit_linear(tracks, stage.positions)
+            return fit_linear(
+                tracks, stage.positions, covariance=np.stack([centre_covariance(camera, view) for view in views])
+            )
         return fit_turntable(tracks, np.deg2rad(stage.positions))
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error

@@ -68,7 +68,7 @@ class Page:
             raise ValueError("the picture is not an image of 8 bits")
         shown = f' width="{width}"' if width else ""
         source = base64.b64encode(data.tobytes()).decode("ascii")
-        self._figure(f'<img{shown} alt="{html.escape(caption)}" src="data:image/png;base64,{source}">', caption)
+        self._figure(f'<img{shown} alt="{html.escape(caption)}" src="data:image/png;base64,{source}">', caption, width)
 
     def plot(
         self,
@@ -107,8 +107,9 @@ class Page:
             f"</head><body><h1>{title}</h1>{''.join(self._parts)}{script}</body></html>\n"
         )
 
-    def _figure(self, content: str, caption: str) -> None:
-        self._parts.append(f"<figure>{content}<figcaption>{html.escape(caption)}</figcaption></figure>")
+    def _figure(self, content: str, caption: str, width: int | None = None) -> None:
+        style = f' style="width:{width + 2}px"' if width else ""  # a long caption must not push its neighbour below
+        self._parts.append(f"<figure{style}>{content}<figcaption>{html.escape(caption)}</figcaption></figure>")
 
 
 def colour_bgr(values: Array, low: float | None = None, high: float | None = None) -> Picture:

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from calibration.analysis import Interplane, interplane
-from calibration.faults import Lattice, find_faults
-from calibration.held_out import HeldOut, held_out
+from calibration.analysis import Interplane, Intraplane, interplane, intraplane
+from calibration.faults import Fault, Lattice, find_faults
+from calibration.geometry import Array
+from calibration.held_out import HeldOut, held_out, leave_views_out
 from calibration.laser import Laser
 from calibration.pinhole import FreehandFit
 from calibration.plane_map import rms
 from calibration.rig import Verification
+from calibration.stage import Stage
 from calibration.targets import SpotGrid
 from calibration.two_plane import TwoPlaneFit
 from scope.calibration_file import CalibrationPlan
 from scope.find_marks import SeenPlane
 
+Dropped: TypeAlias = tuple[str, str]  # a view held by hand that was left out, and why
 NAN = float("nan")
 ADVICE = (
     "an error that is affine (all stand-offs or the pitch wrong by one factor) is invisible to planes: check a known "
@@ -32,104 +35,156 @@ class Verdict:
 
     verification: Verification
     content: dict[str, Any]
+    intraplane: Intraplane | None = None
     interplane: Interplane | None = None
     held_out: tuple[HeldOut, ...] = ()
 
 
-def judge_jig(plan: CalibrationPlan, seen: list[SeenPlane], fit: TwoPlaneFit, lasers: dict[str, Laser]) -> Verdict:
+def judge_jig(
+    plan: CalibrationPlan,
+    seen: list[SeenPlane],
+    fit: TwoPlaneFit,
+    lasers: dict[str, Laser],
+    stages: tuple[Stage, ...],
+) -> Verdict:
     """Judge a calibration on known stand-offs: faults, held-out planes, and the limits of [accept]."""
     held = held_out(fit, model=fit.camera.model)
-    agreement = interplane(fit.camera)
+    agreement, inside = interplane(fit.camera), intraplane(fit)
     of_plane = {h.name: h for h in held}
+    at = {m.name: k for k, m in enumerate(fit.marks)}
     rows = []
     for s in seen:
-        k = next((i for i, m in enumerate(fit.marks) if m.name == s.plan.name), None)
+        k = at.get(s.plan.name)
         if k is None:
             rows.append(_row(s))
             continue
         plane = fit.planes[k]
-        out = of_plane.get(s.plan.name)
-        rows.append(
-            _row(
-                s,
-                used=len(fit.marks[k]),
-                fit_px=plane.fit_px,
-                fit_px_mean=plane.fit_px_mean,
-                loo_px=plane.loo_px,
-                loo_mm=plane.loo_mm,
-                heldout_mm=NAN if out is None else out.rms_mm,
-            )
-        )
-    faults = [*_labelling(seen), *_named(plan, fit), *_moved(seen)]
-    between = [h.rms_mm for h in held if h.between]
-    ray_mm = float(np.sqrt(np.mean(np.square(between)))) if between else NAN
-    content = {"ray_mm": ray_mm, "order": fit.planes[0].map.terms, "model": fit.camera.model}
+        figures = {
+            "used": len(fit.marks[k]),
+            "fit_px": plane.fit_px,
+            "fit_px_mean": plane.fit_px_mean,
+            "fit_mm": inside.planes[k].fit_mm,
+            "loo_px": plane.loo_px,
+            "loo_mm": plane.loo_mm,
+            "placement_px": float(inside.split.plane_px[k]),
+        }
+        rows.append(_row(s, of_plane.get(s.plan.name), **figures))
+    faults = [*_moved(seen), *[mirrored_fault(s.plan.name) for s in seen if s.mirrored], *_named(plan, fit, seen)]
+    ray_mm = _rms([h.rms_mm for h in held if h.between])
+    content = {
+        "ray_mm": ray_mm,
+        "order": fit.planes[0].map.terms,
+        "model": fit.camera.model,
+        "interplane_mm": agreement.interplane_mm,
+        "interplane_sum_abs_mm": _mean(agreement.sum_abs),
+        "line_disagreement_rad": agreement.disagreement,
+        "residual_px": {
+            "target": inside.split.target_px,
+            "placement": inside.split.placement_px,
+            "random": inside.split.random_px,
+        },
+        "stages": [stage_content(stage) for stage in stages],
+    }
     verdict = _verdict(
         plan, seen, rows, lasers, agreement.interplane_px, faults, ray_mm, content, planes=len(fit.marks)
     )
-    return Verdict(verdict.verification, verdict.content, agreement, held)
+    return Verdict(verdict.verification, verdict.content, inside, agreement, held)
 
 
-def judge_freehand(plan: CalibrationPlan, seen: list[SeenPlane], fit: FreehandFit, lasers: dict[str, Laser]) -> Verdict:
-    """Judge a calibration from views held by hand."""
+def judge_freehand(
+    plan: CalibrationPlan,
+    seen: list[SeenPlane],
+    fit: FreehandFit,
+    lasers: dict[str, Laser],
+    stages: tuple[Stage, ...],
+) -> Verdict:
+    """Judge a calibration from views held by hand: each view against the camera of the others."""
+    held = leave_views_out(fit)
+    of_view = {h.name: h for h in held}
+    at = {m.name: k for k, m in enumerate(fit.views)}
     rows = []
     for s in seen:
-        k = next((i for i, m in enumerate(fit.views) if m.name == s.plan.name), None)
-        rows.append(_row(s) if k is None else _row(s, used=len(fit.views[k]), fit_px=rms(fit.residuals[k])))
+        k = at.get(s.plan.name)
+        rows.append(
+            _row(s)
+            if k is None
+            else _row(s, of_view.get(s.plan.name), used=len(fit.views[k]), fit_px=rms(fit.residuals[k]))
+        )
+    ray_mm = _rms([h.rms_mm for h in held])
     content = {
         "model": "pinhole",
+        "ray_mm": ray_mm,
         "fit_px": fit.fit_px,
         "dropped": [{"name": name, "reason": reason} for name, reason in fit.dropped],
+        "stages": [stage_content(stage) for stage in stages],
     }
-    return _verdict(plan, seen, rows, lasers, NAN, _moved(seen), NAN, content, planes=0)
+    verdict = _verdict(plan, seen, rows, lasers, NAN, _moved(seen), ray_mm, content, planes=0)
+    return Verdict(verdict.verification, verdict.content, held_out=held)
 
 
-def _row(seen: SeenPlane, **figures: float) -> dict[str, Any]:
-    names = ("used", "fit_px", "fit_px_mean", "loo_px", "loo_mm", "heldout_mm")
+def _rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values else NAN
+
+
+def _mean(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else NAN
+
+
+def _row(seen: SeenPlane, held: HeldOut | None = None, **figures: float) -> dict[str, Any]:
+    """What is told of one plane; null what is not known of it."""
+    jig = seen.plan.c_from_target is not None  # a view by hand has no place of its own to be off
+    names = ("used", "fit_px", "fit_px_mean", "fit_mm", "loo_px", "loo_mm", "placement_px")
     return {
         "name": seen.plan.name,
         "found": seen.found,
         "repeat_px": seen.repeat_px,
         **{name: figures.get(name, 0 if name == "used" else NAN) for name in names},
+        "heldout_mm": NAN if held is None else held.rms_mm,
+        "heldout_px": NAN if held is None else held.rms_px,
+        "heldout_bias_mm": None if held is None or not jig else held.bias_mm.tolist(),
+        "between": None if held is None or not jig else held.between,
     }
 
 
-def _named(plan: CalibrationPlan, fit: TwoPlaneFit) -> list[dict[str, Any]]:
-    """Faults that the planes show against each other; ``remedy`` is a whole sentence that names plane, fault, size and what to do."""
+def _named(plan: CalibrationPlan, fit: TwoPlaneFit, seen: list[SeenPlane]) -> list[dict[str, Any]]:
+    """Faults that the planes show against each other; ``remedy`` is a whole sentence that names plane, fault, size and what to do.
+
+    Planes that are seen mirrored have their fault already and are left out.
+    """
+    mirrored = {s.plan.name for s in seen if s.mirrored}
+    planes = [m for m in fit.marks if m.name not in mirrored]
+    if len(planes) < 2:
+        return []
+    field = fit.joint.field if not mirrored else None
+    return [fault_content(fault) for fault in find_faults(planes, field=field, lattice=lattice_of(plan))]
+
+
+def lattice_of(plan: CalibrationPlan) -> Lattice | None:
+    """Grid of the plan's target, where it is one of spots."""
     target = plan.target
-    lattice = Lattice(target.rows, target.columns, target.pitch) if isinstance(target, SpotGrid) else None
-    return [
-        {
-            "plane": fault.plane,
-            "kind": fault.kind,
-            "value": fault.value,
-            "standard_error": fault.standard_error,
-            "unit": fault.unit,
-            "or": list(fault.alternatives),
-            "centre": fault.centre,
-            "mark": fault.mark,
-            "remedy": fault.remedy,
-        }
-        for fault in find_faults(fit.marks, field=fit.joint.field, lattice=lattice)
-    ]
+    return Lattice(target.rows, target.columns, target.pitch) if isinstance(target, SpotGrid) else None
 
 
-def _labelling(seen: list[SeenPlane]) -> list[dict[str, Any]]:
-    """Return a fault ``labelling`` for every plane whose fiducials only match in a mirror."""
-    return [
-        {
-            "plane": s.plan.name,
-            "kind": "labelling",
-            "value": NAN,
-            "standard_error": NAN,
-            "unit": "",
-            "or": [],
-            "remedy": f"plane {s.plan.name}: its fiducials are seen mirrored: turn the front of the target to the camera, or "
-            "correct `fiducials`",
-        }
-        for s in seen
-        if s.mirrored
-    ]
+def fault_content(fault: Fault) -> dict[str, Any]:
+    """One fault as --json gives it."""
+    return {
+        "plane": fault.plane,
+        "kind": fault.kind,
+        "value": fault.value,
+        "standard_error": fault.standard_error,
+        "unit": fault.unit,
+        "or": list(fault.alternatives),
+        "centre": fault.centre,
+        "mark": fault.mark,
+        "remedy": fault.remedy,
+    }
+
+
+def mirrored_fault(plane: str) -> dict[str, Any]:
+    """The fault ``labelling`` of a plane whose fiducials only match in a mirror."""
+    remedy = f"plane {plane}: its fiducials are seen mirrored: turn the front of the target to the camera, or correct `fiducials`"
+    return fault_content(Fault(plane, "labelling", NAN, NAN, "", (), None, None, remedy))
 
 
 def _moved(seen: list[SeenPlane]) -> list[dict[str, Any]]:
@@ -186,7 +241,7 @@ def _beyond(plan: CalibrationPlan, seen: list[SeenPlane], lasers: dict[str, Lase
     limit = plan.accept.get("ray_mm")
     if limit is not None and not np.isfinite(ray_mm):
         failed.append(
-            "accept.ray_mm cannot be tested: held-out rays need three planes with an origin or more; add a plane"
+            "accept.ray_mm cannot be tested: held-out rays need three planes with an origin, or four freehand views; add one"
         )
     elif limit is not None and ray_mm > limit:
         failed.append(
@@ -235,4 +290,16 @@ def laser_content(laser: Laser) -> dict[str, Any]:
         "along": laser.along,
         "channel": laser.channel,
         "planes": [{"name": p.plane, "n": p.n, "rms_mm": p.rms_mm, "loo_mm": p.loo_mm} for p in laser.planes],
+    }
+
+
+def stage_content(stage: Stage) -> dict[str, Any]:
+    """One stage as --json gives it."""
+    return {
+        "kind": stage.kind,
+        "direction": stage.direction,
+        "point": stage.point,
+        "direction_sigma_deg": float(np.degrees(stage.direction_sigma)),
+        "scale": stage.scale,
+        "rms_mm": stage.rms_mm,
     }

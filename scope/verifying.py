@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 
 from calibration.errors import CalibrationError, FileError
+from calibration.faults_of_rig import faults_against
 from calibration.held_out import HeldOut, against
 from calibration.pose_of_target import locate_target
 from calibration.rig import Rig
+from calibration.two_plane import TwoPlaneCamera
 from scope.calibration_file import CalibrationPlan, PlanePlan, read_calibration
 from scope.find_marks import SeenPlane, see_plane
+from scope.verdict import fault_content, lattice_of, mirrored_fault
 
 SATURATED = 0.05  # share of the spots that may be clipped
 BLURRED = 0.12  # blur over diameter beyond which the plateau of a spot is gone
@@ -48,7 +51,7 @@ def verify(rig_path: str | Path, other: str | Path | None = None) -> dict[str, A
             "accept": dict(rig.accept),
         }
     plan = read_calibration(Path(other))
-    rows = []
+    rows, jig, faults = [], [], []
     for plane in plan.planes:
         seen = see_plane(plan, plane)
         if seen.size != rig.camera.size:
@@ -61,30 +64,42 @@ def verify(rig_path: str | Path, other: str | Path | None = None) -> dict[str, A
         except CalibrationError as error:
             raise CalibrationError(f"{plan.path}: {error}") from error
         rows.append((against(rig.camera, marks), plane.c_from_target is not None))
-    return _judged(plan, rig, rows)
+        if seen.mirrored:
+            faults.append(mirrored_fault(plane.name))
+        elif plane.c_from_target is not None:
+            jig.append(marks)
+    if jig and isinstance(rig.camera, TwoPlaneCamera):
+        faults += [fault_content(f) for f in faults_against(rig.camera.field, jig, lattice=lattice_of(plan))]
+    return _judged(plan, rig, rows, faults)
 
 
-def _judged(plan: CalibrationPlan, rig: Rig, rows: list[tuple[HeldOut, bool]]) -> dict[str, Any]:
+def _judged(
+    plan: CalibrationPlan, rig: Rig, rows: list[tuple[HeldOut, bool]], faults: list[dict[str, Any]]
+) -> dict[str, Any]:
     limit = plan.accept.get("ray_mm", rig.accept.get("ray_mm"))
     worst = max((held for held, _ in rows), key=lambda held: held.rms_mm)
+    if limit is not None:
+        within = {held.name for held, _ in rows if held.rms_mm <= limit}
+        faults = [f for f in faults if f["plane"] not in within]  # good enough for the work
+    failed = [str(fault["remedy"]) for fault in faults]
     if not rig.verification.passed:
-        passed, why = False, f"the rig's own calibration did not pass: {rig.verification.why}"
-    elif limit is None:
-        passed = False
-        why = (
-            f"worst plane {worst.name}: {worst.rms_mm:.4f} mm rms; no limit says whether that is good enough: give "
-            "accept.ray_mm in the file"
+        failed.insert(0, f"the rig's own calibration did not pass: {rig.verification.why}")
+    if limit is not None and worst.rms_mm > limit:
+        failed.append(
+            f"plane {worst.name}: rays are off by {worst.rms_mm:.4f} mm rms, {limit:g} allowed"
+            + ("" if faults else ": has the camera moved, or is the plane misplaced? calibrate again")
         )
-    elif worst.rms_mm > limit:
-        passed = False
-        why = (
-            f"plane {worst.name}: rays are off by {worst.rms_mm:.4f} mm rms, {limit:g} allowed: has the camera moved, or is the "
-            "plane misplaced? calibrate again"
-        )
+    passed = not failed
+    if failed:
+        why = "; ".join(failed)
     else:
-        passed = True
         why = (
-            f"rays hold on {len(rows)} plane(s) they have not seen: worst {worst.rms_mm:.4f} mm rms, {limit:g} allowed"
+            f"rays hold on {len(rows)} plane(s) they have not seen: worst {worst.name}, {worst.rms_mm:.4f} mm rms, "
+            + (
+                f"{limit:g} allowed"
+                if limit is not None
+                else "no faults; no limit says whether that is good enough for the work: give accept.ray_mm"
+            )
         )
     planes = [
         {
@@ -97,7 +112,7 @@ def _judged(plan: CalibrationPlan, rig: Rig, rows: list[tuple[HeldOut, bool]]) -
         }
         for h, jig in rows
     ]
-    return {"passed": passed, "why": why, "faults": [], "planes": planes}
+    return {"passed": passed, "why": why, "faults": faults, "planes": planes}
 
 
 def check_plane(path: str | Path, name: str) -> dict[str, Any]:
@@ -118,7 +133,17 @@ def check_plane(path: str | Path, name: str) -> dict[str, Any]:
     try:
         return _checked(plan, plane)
     except CalibrationError as error:
-        return {"name": name, "found": 0, "used": 0, "remedy": str(error)}
+        unknown = dict.fromkeys(("missing", "saturated", "blur_px", "repeat_px", "fit_px", "loo_px"))
+        return {
+            "name": name, "found": 0, "used": 0, "expected": _expected(plan, plane), **unknown, "rejected": {},
+            "blurred": None, "moved": None, "mirrored": None, "remedy": str(error).removeprefix(f"{plan.path}: "),
+        }  # fmt: skip
+
+
+def _expected(plan: CalibrationPlan, plane: PlanePlan) -> int | None:
+    if plane.listed is not None:
+        return len(plane.listed.points)
+    return None if plan.target is None else len(plan.target.marks)
 
 
 def _checked(plan: CalibrationPlan, plane: PlanePlan) -> dict[str, Any]:

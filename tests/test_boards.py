@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration import boards
 from calibration.boards import find_charuco, find_chessboard
 from calibration.errors import CalibrationError
 from calibration.targets import Charuco, Chessboard
@@ -90,3 +91,20 @@ def test_a_picture_without_a_board_is_refused():
         find_charuco(blank, CHARUCO)
     with pytest.raises(CalibrationError, match="dictionary"):
         find_charuco(blank, Charuco(7, 9, (10.0, 10.0), 7.0, "DICT_NONE"))
+
+
+def test_a_corner_that_the_detector_misplaces_is_found_again(monkeypatch):
+    """OpenCV's detector has put single corners of clean views seven px away."""
+    image = picture(chessboard(6, 9, 10.0, 0.25), 0.25, HOMOGRAPHY)
+    target, detect = Chessboard(6, 9, (10.0, 10.0)), boards._detect
+    right = find_chessboard(image, target)
+
+    def misplaced(grey, rows, columns):
+        found = detect(grey, rows, columns)
+        found[17] += [5.0, -4.0]
+        return found
+
+    monkeypatch.setattr(boards, "_detect", misplaced)
+    again = find_chessboard(image, target)
+    assert again.mark.tolist() == right.mark.tolist()
+    assert np.abs(again.pixels - right.pixels).max() < 0.02

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.sessions import FIVE, FOUR, SEVEN, misplacement, session
 from calibration import placement
 from calibration.faults import Lattice, find_faults
-from calibration.faults_search import Evidence, Hypothesis
+from calibration.faults_search import Choice, Evidence, Hypothesis
 from calibration.geometry import Pose
 from calibration.ray_field import fit_ray_field
 from calibration.redundancy import redundancy_of
@@ -215,3 +215,78 @@ def test_standard_errors_are_those_of_the_estimates():
 def test_one_plane_is_a_wrong_argument():
     with pytest.raises(ValueError, match="two or more"):
         find_faults(seen(17)[:1])
+
+
+@pytest.mark.parametrize(("kind", "size"), [("slip", 100.0), ("stand_off", -120.0), ("rotation", 0.6), ("tilt", 0.4)])
+def test_a_gross_fault_is_named_and_measured_too(kind, size):
+    """Far beyond where anything is linear; slips by 100 mm once passed as planes that scatter."""
+    (fault,) = find_faults(seen(20, true_pose={2: misplacement(kind, size, 0.7, CENTRE)}))
+    assert (fault.plane, fault.kind) == ("w400", kind)
+    true = np.degrees(size) if kind in ("rotation", "tilt") else size
+    assert abs(fault.value - true) < 5 * fault.standard_error
+
+
+@pytest.mark.parametrize(("kind", "size"), [("slip", 48.0), ("rotation", 0.2), ("tilt", 0.2), ("stand_off", 400.0)])
+def test_a_gross_fault_among_three_planes_is_told(kind, size):
+    """Once a crash of the linear algebra."""
+    faults = find_faults(seen(21, (320.0, 400.0, 480.0), true_pose={2: misplacement(kind, size, 0.7, CENTRE)}))
+    assert faults
+    assert "w480" in {f.plane for f in faults} | {a.split(":")[0] for f in faults for a in f.alternatives}
+
+
+@pytest.mark.parametrize("sizes", [(24.0, 5.0), (1.0, 0.7)])
+def test_planes_that_no_few_faults_explain_do_not_pass(sizes):
+    """Two slips among four planes leave open which two: that is no reason to call all four good."""
+    poses = {k: misplacement("slip", size, 2.0 * k + 0.5, CENTRE) for k, size in zip((0, 2), sizes, strict=True)}
+    assert find_faults(seen(22, FOUR, true_pose=poses), lattice=LATTICE)
+
+
+@pytest.mark.parametrize("scale", [0.9995, 1.02])
+def test_a_pitch_that_is_wrong_about_the_middle_is_one_fault(scale):
+    """The grid is stretched about its own middle, as if seated there: no slip beside it."""
+    middle = Pose(np.eye(3), np.append(CENTRE * (1 - scale), 0.0))
+    (fault,) = find_faults(seen(23, true_pose={2: middle}, true_scale={2: scale}, oblique=0.35), lattice=LATTICE)
+    assert (fault.plane, fault.kind, fault.unit) == ("w400", "pitch", "%")
+    assert abs(fault.value - 100 * (scale - 1)) < 4 * fault.standard_error
+    assert np.allclose(fault.centre, [0.0, 0.0, 400.0], atol=5.0)
+    assert any(a.startswith("w400: stand_off") for a in fault.alternatives)
+
+
+def in_order(planes, order):
+    return [replace(planes[j], name=p.name, c_from_plane=p.c_from_plane) for p, j in zip(planes, order, strict=True)]
+
+
+@pytest.mark.parametrize("order", [(1, 0), (1, 0, 2), (0, 2, 1), (1, 2, 0, 3, 4), (2, 0, 3, 1, 4)])
+def test_images_in_any_other_order_are_named(order):
+    stand_offs = {2: (320.0, 480.0), 3: (320.0, 400.0, 480.0), 5: FIVE}[len(order)]
+    planes = seen(24, stand_offs)
+    faults = find_faults(in_order(planes, order), lattice=LATTICE)
+    assert {(f.plane, f.kind) for f in faults} == {(planes[k].name, "swapped") for k, j in enumerate(order) if k != j}
+
+
+def test_stand_offs_counted_towards_the_camera_are_told():
+    """They leave no residual, but everything ranged would be a mirror image."""
+    (fault,) = find_faults(in_order(seen(25, FIVE), (4, 3, 2, 1, 0)), lattice=LATTICE)
+    assert fault.kind == "swapped"
+    assert "mirror" in fault.remedy
+
+
+def test_of_two_planes_one_turned_is_called_turned():
+    planes = seen(26, (320.0, 480.0))
+    turned = replace(planes[1], points=2 * CENTRE - planes[1].points, mark=129 - planes[1].mark)
+    (fault,) = find_faults([planes[0], turned], lattice=LATTICE)
+    assert fault.kind == "labelling"
+    assert "180 degrees" in fault.remedy
+    assert fault.alternatives
+
+
+def test_sizes_beside_a_scatter_of_the_planes_have_wider_errors():
+    """Two stated standard errors cover 95 % also where the scatter comes from four differences of planes."""
+    rng = np.random.default_rng(30)
+    evidence = Evidence(np.zeros(1), np.zeros((1, 49)), 7)
+    scatter = np.array([1e-3] * 7)
+    none = Choice((Hypothesis(2, "stand_off"),), evidence, np.zeros(7))
+    some = Choice((Hypothesis(2, "stand_off"),), evidence, scatter)
+    assert none.widening("stand_off") == 1.0
+    pulls = rng.normal(size=100_000) / np.sqrt(rng.chisquare(4, 100_000) / 4)
+    assert np.mean(np.abs(pulls) < 2 * some.widening("stand_off")) == pytest.approx(0.9545, abs=0.003)

@@ -95,3 +95,14 @@ def test_marks_on_a_line_are_refused(truth, tilted: bool) -> None:
     row = marks.select(np.arange(len(marks)) < 17)
     with pytest.raises(CalibrationError, match=r"w7.*one line"):
         fit_plane_map(row, order=1, tilted=tilted)
+
+
+def test_the_papers_two_findings_on_a_symmetric_grid(truth) -> None:
+    """About the centre the elements of P'P span more orders, since odd sums cancel; the columns are less alike all the same."""
+    marks = truth.marks(flat(), "w")
+    unit, centred, chebyshev = (normal_equations(marks, coordinates=c)[1] for c in ("unit", "centred", "chebyshev"))
+    assert centred.span > unit.span + 2
+    assert centred.condition < unit.condition / 100
+    assert chebyshev.dependence < centred.dependence < unit.dependence
+    assert chebyshev.error_single < unit.error_single / 5
+    assert unit.error < 1e-6 < unit.error_single

@@ -9,7 +9,8 @@ import pytest
 from scipy.stats import ncx2
 
 from calibration.errors import CalibrationError
-from calibration.spots import Noise, find_spots, measure_marks
+from calibration.marks import measure_marks
+from calibration.spots import Noise, find_spots
 from calibration.spots_eccentricity import eccentricity_of_homography, eccentricity_of_map
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
@@ -209,9 +210,9 @@ def test_marks_belong_to_their_pixels():
     assert all(bool(why) != good for why, good in zip(marks.reason, marks.measured, strict=True))
 
 
-@pytest.mark.parametrize("level", [0, 90, 255])
-def test_a_blank_image_is_refused(level):
-    with pytest.raises(CalibrationError, match="shows nothing"):
+@pytest.mark.parametrize(("level", "told"), [(0, "is black"), (90, "shows nothing"), (255, "is saturated")])
+def test_a_blank_image_is_refused(level, told):
+    with pytest.raises(CalibrationError, match=told):
         find_spots(np.full((240, 320), level, np.uint8))
 
 

@@ -37,6 +37,19 @@ def test_direction_sigma_is_that_of_repetition() -> None:
     )
 
 
+def test_direction_sigma_of_a_rigid_target() -> None:
+    """Its marks err together, and more along the sight than across: once understated twenty-fold."""
+    rng, s = np.random.default_rng(2), np.array([0.0, 8.0, 16.0, 24.0])
+    covariance = np.broadcast_to(np.diag([1e-4, 1e-4, 3e-3]) ** 2, (4, 3, 3))
+    way = np.array([0.8, 0.6, 0.0])
+    off = rng.normal(0, [1e-4, 1e-4, 3e-3], (400, 4, 3))
+    stages = [fit_linear(MARKS + s[:, None, None] * way + e[:, None], s, covariance=covariance) for e in off]
+    across = np.cross([st.direction for st in stages], way)
+    assert np.sqrt((across**2).sum(axis=1).mean() / 2) == pytest.approx(
+        np.mean([st.direction_sigma for st in stages]), rel=0.1
+    )
+
+
 @pytest.mark.parametrize("start", [0.0, 1.0])
 def test_turntable(start: float) -> None:
     stage = fit_turntable(turned(ANGLES + start), ANGLES + start)
