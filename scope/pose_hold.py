@@ -70,14 +70,14 @@ def hold(
                 return None
             pose = move(pose, motion, 0.5 * (bounds[0] + bounds[1]), centre, radius)
             widths[k] = 0.5 * (bounds[1] - bounds[0]) + STEP
-    for mixed in _mixtures(len(motions)) @ motions:
+    for mixed in mixtures(len(motions)) @ motions:
         bounds = allowed(pose, mixed)
         if bounds is None or max(-bounds[0], bounds[1]) > HELD:
             return None
     return (pose, widths / 5.0) if widths.max() <= HELD else None
 
 
-def _mixtures(count: int) -> Array:
+def mixtures(count: int) -> Array:
     """Unit sums and differences (K, count) of two or three motions."""
     signs = np.array([s for s in np.ndindex(*[3] * count)], dtype=np.float64) - 1.0
     leading = np.array([s[np.flatnonzero(s)[0]] > 0 if s.any() else False for s in signs])

@@ -14,13 +14,13 @@ from scope.pose_light import Light, eyes, light_of
 from scope.pose_model import Model, distinct
 from scope.pose_refine import evaluate, refine
 from scope.pose_report import what_differs
+from scope.pose_rim import settle_by_rim
 from scope.pose_search import View, normals_of, polish, search, thin
 from scope.pose_surface import Surface
 from scope.pose_uncertainty import Uncertainty, shared_errors, uncertainty
 
 CLEAR_EXPLAINED = 0.9  # share of the points, above which a first search is not repeated with more starts
 CLEAR_COVERED = 0.95
-CLOSER = 0.35  # of the spacing of the thinned scan: that of the second look at poses that it does not tell apart
 
 
 def locate(
@@ -71,41 +71,7 @@ def locate(
             weighed = found
         if weighed[0].explained >= CLEAR_EXPLAINED and not weighed[0].covered < CLEAR_COVERED:
             break  # else look harder, before saying no and before believing a pose that leaves much unexplained
-    closer = _closer_look(cloud, rows, model, surface, weighed, sigma, camera, laser, light, witnesses, options, spacing)
-    return _decide(cloud, rows, model, surface, closer, sigma, camera, light, options)
-
-
-def _closer_look(
-    cloud: ScanCloud,
-    rows: Ints,
-    model: Model,
-    surface: Surface,
-    weighed: list[Evidence],
-    sigma: Array,
-    camera: Array | None,
-    laser: Array | None,
-    light: Light | None,
-    witnesses: View | None,
-    options: PoseOptions,
-    spacing: float,
-) -> list[Evidence]:
-    """The candidates, weighed again by more of the scan's points where the thinned scan does not tell the best from another.
-
-    A hole of a few mm holds a handful of points of the thinned scan.
-    """
-    if _runner_up(model, weighed)[1] is None:
-        return weighed
-    dense = rows[thin(cloud.points[rows], CLOSER * spacing)]
-    if len(dense) < 1.5 * len(weighed[0].point_cost):
-        return weighed
-    at = np.searchsorted(rows, dense)
-    eye, source = (None if a is None else a[at] for a in (camera, laser))
-    view = View(cloud.points[dense], np.zeros((len(dense), 3)), eye, source)
-    looked = [
-        weigh(model, surface, e.pose, view, sigma[at], light, witnesses, tolerance=options.tolerance, spacing=spacing)
-        for e in weighed
-    ]
-    return sorted(looked, key=lambda e: e.cost)
+    return _decide(cloud, rows, model, surface, weighed, sigma, camera, light, options)
 
 
 def _refused(model: Model, rows: Ints, why: str) -> PoseResult:
@@ -172,7 +138,9 @@ def _weigh_all(
     done: list[Evidence] = []
     hopeless = quick[order[0]] > 0.7 * CAP * len(sigma)
     for k in near[: 2 if hopeless else options.candidates]:
-        fit = refine(surface, poses[k], view.points[few], sigma[few], camera, reach=reach, floor=tolerance, borders=True)
+        fit = refine(
+            surface, poses[k], view.points[few], sigma[few], camera, reach=reach, floor=tolerance, borders=True
+        )
         if not any(same_answer(model, fit.pose, e.pose, turn=0.004, shift=0.002 * d) for e in done):
             done.append(
                 weigh(model, surface, fit.pose, view, sigma, light, witnesses, tolerance=tolerance, spacing=spacing)
@@ -209,6 +177,10 @@ def _decide(
         local = fit.pose.inverse.apply(points)
         near = np.linalg.norm(surface.nearest(local)[0] - local, axis=1) < 1.5 * REACH
         settled = hold(surface, fit.pose, known.loose_motions, points[near], sigma[near], middle, model.diameter / 2)
+        if settled is None and light is not None:
+            settled = settle_by_rim(
+                surface, model, fit.pose, known.loose_motions, points[near], light, middle, model.diameter / 2
+            )
         if settled is not None:
             rows_held = known.loose_motions / settled[1][:, None]
             fit = evaluate(surface, settled[0], points, sigma, camera, cut=reach, floor=options.form)

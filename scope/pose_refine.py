@@ -10,6 +10,8 @@ from calibration.geometry import Array, Bools, Pose
 from scope.pose_surface import Surface
 
 TAILS = 6.0
+SLANT = 0.3  # cosine of the slant beyond which a surface is not taken to be known better still across it
+GRAZING = 0.1  # cosine of the slant beyond which nothing is ranged
 STEP = 0.3  # mm, one sigma of a step's prior: motions that nothing holds are not run away with
 EDGE = 3.0  # standard deviations from a sharp edge within which noise may put a point on the wrong face
 
@@ -69,13 +71,17 @@ def refine(
         Points beyond an edge, whose nearest surface point is not straight below them, have no weight without ``borders``.
     """
     for cut in reach:
-        fit = evaluate(surface, pose, points, sigma, camera, cut=cut, floor=floor, tails=tails, edge=edge, borders=borders)
+        fit = evaluate(
+            surface, pose, points, sigma, camera, cut=cut, floor=floor, tails=tails, edge=edge, borders=borders
+        )
         root = np.sqrt(fit.weight)[:, None]
         rows = np.concatenate([root * fit.jacobian * _SCALE, np.eye(6) / STEP])
         x = np.linalg.lstsq(rows, np.append(-root[:, 0] * fit.residual, np.zeros(6)), rcond=None)[0] * _SCALE
         moved = Pose.from_rotation_vector(x[3:], np.zeros(3)).rotation
         pose = Pose(moved @ pose.rotation, pose.translation + x[:3])
-    return evaluate(surface, pose, points, sigma, camera, cut=reach[-1], floor=floor, tails=tails, edge=edge, borders=borders)
+    return evaluate(
+        surface, pose, points, sigma, camera, cut=reach[-1], floor=floor, tails=tails, edge=edge, borders=borders
+    )
 
 
 _SCALE = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # 1 mm and 0.02 rad move a point 50 mm away alike
@@ -106,8 +112,8 @@ def evaluate(
     if camera is not None:
         ray = camera - points
         slope = (ray * normal).sum(axis=1) / np.linalg.norm(ray, axis=1)
-        facing = slope > 0.05
-    variance = (sigma * slope) ** 2 + floor**2
+        facing = slope > GRAZING
+    variance = (sigma * np.maximum(slope, SLANT)) ** 2 + floor**2
     below = aside < 0.3 * sigma + 0.01  # the nearest surface is straight below, not an edge
     margin = EDGE * sigma + edge
     far = surface.crease_distance(closest, float(margin.max())) > margin

@@ -10,6 +10,7 @@ from calibration.geometry import Array, Ints
 from scope.pose_refine import Fit
 
 LOOSE_MM = 0.12  # a direction known worse than this (or its turn at half a diameter) is not determined
+FEW = 12.0  # points or fewer in effect hold nothing: they may all lie on an edge
 PRIOR_MM = 100.0  # a direction that nothing holds is given about this much
 
 
@@ -70,7 +71,10 @@ def uncertainty(
     extra = np.zeros((0, 6)) if held is None else held
     h = js.T @ (w[:, None] * js) + extra.T @ extra
     value, vector = np.linalg.eigh(h)
-    held = value > len(w) * 1e-12 * value[-1]
+    share = (
+        w[:, None] * (js @ vector) ** 2 / np.maximum(value, 1e-12 * value[-1])
+    )  # of what is known of a direction, by point
+    held = (value > len(w) * 1e-12 * value[-1]) & ((share**2).sum(axis=0) < 1 / FEW)
     spread = np.where(held, 1 / np.sqrt(np.maximum(value, 1e-300)), PRIOR_MM)
     spread = np.minimum(spread, PRIOR_MM)
     inverse = (vector * spread**2) @ vector.T
