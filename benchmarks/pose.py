@@ -152,7 +152,8 @@ def undecidable(
 
     def seen(pose: Pose) -> Array:
         points, _, solid = parts.sweep([(part, pose), *clutter], spacing, reach)
-        return points[solid == 0]
+        own: Array = points[solid == 0]
+        return own
 
     mine = seen(truth)
     return any(lies(mine, rival) and lies(seen(rival), truth) for rival in rivals)

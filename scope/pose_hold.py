@@ -79,7 +79,7 @@ def hold(
 
 def mixtures(count: int) -> Array:
     """Unit sums and differences (K, count) of two or three motions."""
-    signs = np.array([s for s in np.ndindex(*[3] * count)], dtype=np.float64) - 1.0
+    signs = np.array(list(np.ndindex(*[3] * count)), dtype=np.float64) - 1.0
     leading = np.array([s[np.flatnonzero(s)[0]] > 0 if s.any() else False for s in signs])
     signs = signs[leading & (np.abs(signs).sum(axis=1) > 1)]
     return np.asarray(signs / np.linalg.norm(signs, axis=1, keepdims=True)).reshape(-1, count)

@@ -19,15 +19,17 @@ from calibration.geometry import Pose
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError, MissingLibraryError
 from scope.locating import frame_of, place, pose_result, read_transform, write_deviation
-from scope.pose import estimate_pose
+from scope.pose import PoseOptions, estimate_pose
 from scope.pose_decision import Evidence, margin, same_answer
 from scope.pose_files import load_model, read_mesh
 from scope.pose_grid import align, hidden
 from scope.pose_light import light_of
 from scope.pose_model import Model, angle_between, prepare_model, rotations
+from scope.pose_refine import evaluate
 from scope.pose_report import roll_pitch_yaw
 from scope.pose_search import normals_of, thin
 from scope.pose_surface import Surface
+from scope.pose_uncertainty import uncertainty
 from scope.segmentation import clusters, extent, largest_plane
 
 
@@ -120,6 +122,45 @@ class TestModel:
         assert np.linalg.norm(points - closest, axis=1) == pytest.approx(distance, abs=1e-3)
         assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-12
         assert len(expected) == 300
+
+
+class TestSharpEdges:
+    def test_distance_to_the_edges_of_a_block_is_the_analytic_one(self) -> None:
+        block = parts.box_part(np.array([0.0, 0, 0]), np.array([50.0, 40, 22]))
+        points = np.random.default_rng(0).uniform(-5, 55, (400, 3))
+        sides = np.array([50.0, 40.0, 22.0])
+        away = np.minimum(np.abs(points), np.abs(points - sides))  # from the two planes across each axis
+        over = np.maximum(np.maximum(-points, points - sides), 0.0)
+        along = [
+            np.sqrt(over[:, a] ** 2 + away[:, b] ** 2 + away[:, c] ** 2)
+            for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+        ]
+        found = Surface(block.vertices, block.faces).crease_distance(points, 100.0)
+        assert found == pytest.approx(np.min(along, axis=0), abs=0.01)
+
+    def test_facets_of_a_round_part_are_no_edges(self) -> None:
+        assert np.isinf(Surface(ball().vertices, ball().faces).crease_distance(ball().samples[::50], 10.0)).all()
+        tube = trimesh.creation.cylinder(radius=15, height=60, sections=48)
+        surface = Surface(np.asarray(tube.vertices), np.asarray(tube.faces))
+        assert surface.crease_distance(np.array([[15.0, 0, 0], [15, 0, 20]]), 100.0) == pytest.approx(
+            [30, 10], abs=0.05
+        )
+
+    def test_two_grazing_points_hold_nothing(self) -> None:
+        """A face seen square on with two points of a wall beside it: the face still slides."""
+        block = parts.box_part(np.array([0.0, 0, 0]), np.array([50.0, 40, 22]))
+        surface = Surface(block.vertices, block.faces)
+        rng = np.random.default_rng(0)
+        top = np.column_stack(
+            [rng.uniform(2, 48, 3000), rng.uniform(2, 38, 3000), 22 + rng.normal(scale=0.02, size=3000)]
+        )
+        points = np.concatenate([top, [[50.0, 20, 10], [25, 40, 9.0]]])
+        fit = evaluate(surface, Pose.identity(), points, np.full(len(points), 0.02), None, cut=0.5, floor=0.01)
+        assert (fit.weight > 0)[-2:].all()
+        known = uncertainty(
+            fit, points, None, np.zeros(len(points)), None, centre=np.array([25.0, 20, 11]), radius=33.0
+        )
+        assert len(known.loose) == 3
 
 
 class TestFiles:
@@ -304,7 +345,10 @@ def test_covariance_is_that_of_repeats() -> None:
     moves, claims = [], []
     for k in range(24):
         found = estimate_pose(
-            parts.scan(made, pose, np.random.default_rng(900 + k), scanner=scanner), casting(), initial=pose
+            parts.scan(made, pose, np.random.default_rng(900 + k), scanner=scanner),
+            casting(),
+            initial=pose,
+            options=PoseOptions(starts=64, candidates=2),
         )
         assert found.cloud_from_model is not None
         assert found.covariance is not None
