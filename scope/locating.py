@@ -231,6 +231,7 @@ def check_result(check: ArtefactCheck) -> dict[str, Any]:
                 "measured": s.measured,
                 "error": s.error,
                 "uncertainty": s.uncertainty,
+                "uncertainty_parts": {"scatter": s.scatter, "calibration": s.calibration, "slope": s.slope},
             }
             for s in check.sizes
         ],

@@ -79,7 +79,7 @@ def uncertainty(
     spread = np.minimum(spread, PRIOR_MM)
     inverse = (vector * spread**2) @ vector.T
     a = inverse @ (js * w[:, None]).T  # (6, N)
-    patch = _patches(points[used], radius / 10)
+    patch = patches(points[used], radius / 10)
     pushes = np.stack([np.bincount(patch, weights=row) for row in a * fit.residual[used]])  # (6, patches)
     few = len(pushes.T) / max(len(pushes.T) - 6.0, 1.0)
     random = (
@@ -146,7 +146,7 @@ def _shift_reference(arm: Array) -> Array:
     return m
 
 
-def _patches(points: Array, side: float) -> Ints:
+def patches(points: Array, side: float) -> Ints:
     """Number (N,) of the cube of side ``side`` mm that each point lies in, from 0 without gaps."""
     cell = (
         np.floor((points - points.min(axis=0)) / side).astype(np.int64) if len(points) else np.zeros((0, 3), np.int64)
