@@ -59,7 +59,9 @@ def estimate_pose(
     sides = np.sort(np.ptp(prepared.vertices, axis=0))
     if len(cloud):
         _require_units(cloud, prepared, region)
-    pieces = segmentation.clusters(cloud, prepared.diameter, float(sides[1] * sides[2]), region=region)
+    pieces = segmentation.clusters(
+        cloud, prepared.diameter, float(sides[1] * sides[2]), width=float(sides[1]), region=region
+    )
     surface = Surface(prepared.vertices, prepared.faces)
     results: list[PoseResult] = []
     pieces = pieces if chosen.several else pieces[:1]

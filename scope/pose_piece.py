@@ -173,16 +173,15 @@ def _decide(
     known = uncertainty(fit, points, camera, shared_sigma, parameters, centre=middle, radius=model.diameter / 2)
     misfit = _misfit(best, options)
     score, rival = _runner_up(model, weighed)
-    if not misfit and rival is None and known.loose and not _of_axis(model, fit.pose, known):
+    sliding = _but_axis(model, fit.pose, known.loose_motions, middle)
+    if not misfit and rival is None and len(sliding):
         local = fit.pose.inverse.apply(points)
         near = np.linalg.norm(surface.nearest(local)[0] - local, axis=1) < 1.5 * REACH
-        settled = hold(surface, fit.pose, known.loose_motions, points[near], sigma[near], middle, model.diameter / 2)
+        settled = hold(surface, fit.pose, sliding, points[near], sigma[near], middle, model.diameter / 2)
         if settled is None and light is not None:
-            settled = settle_by_rim(
-                surface, model, fit.pose, known.loose_motions, points[near], light, middle, model.diameter / 2
-            )
+            settled = settle_by_rim(surface, model, fit.pose, sliding, points[near], light, middle, model.diameter / 2)
         if settled is not None:
-            rows_held = known.loose_motions / settled[1][:, None]
+            rows_held = sliding / settled[1][:, None]
             fit = evaluate(surface, settled[0], points, sigma, camera, cut=reach, floor=options.form)
             known = uncertainty(
                 fit, points, camera, shared_sigma, parameters,
@@ -246,6 +245,19 @@ def _runner_up(model: Model, weighed: list[Evidence]) -> tuple[float, Evidence |
         if not sure:
             return gain, other
     return score, None
+
+
+def _but_axis(model: Model, pose: Pose, loose: Array, middle: Array) -> Array:
+    """Loose motions (L, 6) without the turn about the model's own axis of revolution, which nothing can stop."""
+    if model.axis is None or len(loose) == 0:
+        return loose
+    direction, arm = pose.rotation @ model.axis.direction, middle - pose.apply(model.axis.point)
+    turn = np.concatenate([np.cross(direction, arm), direction * model.diameter / 2])
+    turn /= np.linalg.norm(turn)
+    if np.linalg.norm(loose @ turn) < 0.98:
+        return loose
+    rest = loose - np.outer(loose @ turn, turn)
+    return np.asarray(np.linalg.svd(rest, full_matrices=False)[2][: len(loose) - 1])
 
 
 def _of_axis(model: Model, pose: Pose, known: Uncertainty) -> bool:
