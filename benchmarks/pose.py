@@ -33,7 +33,7 @@ from scope.pose_model import Model, angle_between, prepare_model
 from scope.pose_surface import Surface
 
 PARTS = {"bracket": parts.bracket, "plate": parts.plate, "casting": parts.casting}
-SEED = 60_000
+SEED = 90_000
 
 
 def main() -> None:

@@ -17,6 +17,8 @@ CAP = 8.0  # nats: a point that the model does not explain
 BLOCKED = 12.0  # nats: a point that camera or laser could not have reached through the model
 MISSING = 3.0  # nats: surface that both should have seen and no point lies on; less, since metal also loses light
 MARGIN = 30.0  # nats between a pose and its runner-up
+GRAZE = 0.15  # spacings of the thinned scan: how deep a line of sight must lead into the model to be blocked by it
+STEP = 0.01  # spacings behind the first crossing, where the next one is looked for
 SPEAKS = 2.0  # nats: what a single point or sample must say to be heard in this
 
 
@@ -99,7 +101,11 @@ def weigh(
 
 
 def _blocked(surface: Surface, inverse: Pose, view: View, spacing: float) -> Bools:
-    """Points (N,) between which and the camera or the laser the model stands; the first two spacings are let pass."""
+    """Points (N,) between which and the camera or the laser the model stands.
+
+    The first two spacings of the way are let pass, and so is a way that only grazes an edge or runs along a wall: in the middle
+    of its stretch inside the model it must be deeper than ``GRAZE`` spacings.
+    """
     local = inverse.apply(view.points)
     blocked = np.zeros(len(local), dtype=np.bool_)
     for eye in (view.camera, view.laser):
@@ -107,7 +113,15 @@ def _blocked(surface: Surface, inverse: Pose, view: View, spacing: float) -> Boo
             continue
         way = inverse.apply(eye) - local
         way /= np.linalg.norm(way, axis=1, keepdims=True)
-        blocked |= np.isfinite(surface.first_hit(local + 2.0 * spacing * way, way))
+        first = surface.first_hit(local + 2.0 * spacing * way, way)
+        rows = np.flatnonzero(np.isfinite(first) & ~blocked)
+        if len(rows) == 0:
+            continue
+        start = local[rows] + (2.0 * spacing + first[rows] + STEP * spacing)[:, None] * way[rows]
+        length = surface.first_hit(start, way[rows])
+        middle = start + 0.5 * np.where(np.isfinite(length), length, 0.0)[:, None] * way[rows]
+        depth = np.linalg.norm(surface.nearest(middle)[0] - middle, axis=1)
+        blocked[rows] = depth > GRAZE * spacing
     return blocked
 
 
