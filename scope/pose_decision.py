@@ -79,7 +79,7 @@ def weigh(
     gap = np.linalg.norm(local - closest, axis=1)
     variance = sigma**2 + tolerance**2
     cost = np.minimum(gap**2 / (2 * variance), CAP)
-    blocked = _blocked(surface, inverse, view, spacing)
+    blocked = lines_blocked(surface, inverse, view, spacing)
     # a point that lies well and is blocked sits on the far side of a wall
     cost[blocked] = BLOCKED
     explained = float(((gap**2 < 16 * variance) & ~blocked).mean())
@@ -100,7 +100,7 @@ def weigh(
     return Evidence(pose, cost, sample_cost, explained, through, covered, expected)
 
 
-def _blocked(surface: Surface, inverse: Pose, view: View, spacing: float) -> Bools:
+def lines_blocked(surface: Surface, inverse: Pose, view: View, spacing: float) -> Bools:
     """Points (N,) between which and the camera or the laser the model stands.
 
     The first two spacings of the way are let pass, and so is a way that only grazes an edge or runs along a wall: in the middle
@@ -113,15 +113,18 @@ def _blocked(surface: Surface, inverse: Pose, view: View, spacing: float) -> Boo
             continue
         way = inverse.apply(eye) - local
         way /= np.linalg.norm(way, axis=1, keepdims=True)
-        first = surface.first_hit(local + 2.0 * spacing * way, way)
+        origin = local + 2.0 * spacing * way
+        first = surface.first_hit(origin, way)
         rows = np.flatnonzero(np.isfinite(first) & ~blocked)
         if len(rows) == 0:
             continue
-        start = local[rows] + (2.0 * spacing + first[rows] + STEP * spacing)[:, None] * way[rows]
-        length = surface.first_hit(start, way[rows])
-        middle = start + 0.5 * np.where(np.isfinite(length), length, 0.0)[:, None] * way[rows]
-        depth = np.linalg.norm(surface.nearest(middle)[0] - middle, axis=1)
-        blocked[rows] = depth > GRAZE * spacing
+        origin, way, first = origin[rows], way[rows], first[rows, None]
+        behind = origin + (first + STEP * spacing) * way
+        second = surface.first_hit(behind, way)
+        second = np.where(np.isfinite(second), second, 0.0)[:, None]
+        for middle in (origin + 0.5 * first * way, behind + 0.5 * second * way):  # one of the two stretches is inside
+            depth = np.linalg.norm(surface.nearest(middle)[0] - middle, axis=1)
+            blocked[rows] |= surface.inside(middle) & (depth > GRAZE * spacing)
     return blocked
 
 

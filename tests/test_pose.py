@@ -189,6 +189,18 @@ def test_shaft_is_found_up_to_a_turn_about_its_axis() -> None:
     assert np.linalg.norm(offset - (offset @ direction) * direction) < 0.05
 
 
+def test_pin_seen_end_on_is_held_by_its_rim() -> None:
+    """Nothing but the round end is seen: it slides in itself until points hang over; the turn about the axis stays free."""
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.creation.cylinder(radius=12, height=30, sections=96)
+    pin = parts.Part("pin", np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    truth = Pose(np.eye(3), np.array([1.0, -2.0, 400.0]))
+    cloud = parts.scan(pin, truth, np.random.default_rng(2), scanner=parts.Scanner(points=6000, noise=0.05))
+    found = estimate_pose(cloud, prepare_model(pin.vertices, pin.faces))
+    assert found.cloud_from_model is not None, found.why
+    assert found.cloud_from_model.apply(np.zeros(3)) == pytest.approx(truth.translation, abs=0.15)
+
+
 class TestRefusals:
     def test_empty_cloud(self) -> None:
         with pytest.raises(MeasurementError, match="0 points"):
