@@ -68,7 +68,7 @@ def fit_shape(
     Raises
     ------
     MeasurementError
-        Fewer than 50 points near the shape.
+        Fewer than 50 points near the shape, or, but for a plane, no crowding of them on it.
     """
     point, direction, radius = start
     limit = reach
@@ -95,6 +95,11 @@ def fit_shape(
     residual, normal = _residual(kind, points, point, direction, radius)
     errors = (0.0, 0.0, 0.0)
     if kind != "plane":
+        if limit > 0.8 * reach:
+            raise MeasurementError(
+                f"the points nearest to a {kind} spread over the whole {2 * reach:.2g} mm about it that were looked at; "
+                f"no {kind} of this size is there: give its region, or check its size"
+            )
         patch = patches(points[used], radius / 5)
         sight = None if ray is None else ray[used]
         errors = _radius_errors(jacobian, residual[used], normal[used], patch, sight, shared[used], sigma[used])

@@ -173,6 +173,7 @@ def _decide(
     known = uncertainty(fit, points, camera, shared_sigma, parameters, centre=middle, radius=model.diameter / 2)
     misfit = _misfit(best, options)
     score, rival = _runner_up(model, weighed)
+    borders = ""
     sliding = _but_axis(model, fit.pose, known.loose_motions, middle)
     if not misfit and rival is None and len(sliding):
         local = fit.pose.inverse.apply(points)
@@ -181,6 +182,7 @@ def _decide(
         if settled is None and light is not None:
             settled = settle_by_rim(surface, model, fit.pose, sliding, points[near], light, middle, model.diameter / 2)
         if settled is not None:
+            borders = "; faces that slide in themselves were placed by their borders"
             rows_held = sliding / settled[1][:, None]
             fit = evaluate(surface, settled[0], points, sigma, camera, cut=reach, floor=options.form)
             known = uncertainty(
@@ -201,6 +203,7 @@ def _decide(
     good, ambiguous = not why, bool(tell)
     if good:
         why = "no other pose comes near" if np.isinf(score) else f"{score:.0f} nats better than the runner-up"
+        why += borders
     return PoseResult(
         cloud_from_model=fit.pose if good else None,
         covariance=known.covariance if good else None,

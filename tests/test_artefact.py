@@ -178,6 +178,16 @@ def test_unknown_artefacts_are_refused(text: str) -> None:
         Artefact.parse(text)
 
 
+@pytest.mark.parametrize("artefact", ["sphere:d=20", "sphere:d=30", "sphere:d=40"])
+def test_what_is_no_sphere_is_none(artefact: str) -> None:
+    """Somewhere on a bracket some points always lie within 6 % of a sphere's radius: filling that band, they are none."""
+    made = parts.bracket()
+    pose = parts.random_pose(made, np.random.default_rng(5))
+    cloud = parts.scan(made, pose, np.random.default_rng(5), scanner=parts.Scanner(points=8000, noise=0.03))
+    with pytest.raises(MeasurementError):
+        check_artefact(cloud, artefact)
+
+
 def test_artefact_that_is_not_there() -> None:
     rng = np.random.default_rng(6)
     flat = seen(table(420.0, 3000, rng), rng)
