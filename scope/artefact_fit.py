@@ -71,7 +71,7 @@ def fit_shape(
         Fewer than 50 points near the shape, or, but for a plane, no crowding of them on it.
     """
     point, direction, radius = start
-    limit = reach
+    limit, spread = reach, 0.0
     residual, used = np.zeros(len(points)), np.zeros(len(points), dtype=np.bool_)
     jacobian = np.zeros((0, 7))
     for _ in range(25):
@@ -95,7 +95,7 @@ def fit_shape(
     residual, normal = _residual(kind, points, point, direction, radius)
     errors = (0.0, 0.0, 0.0)
     if kind != "plane":
-        if limit > 0.8 * reach:
+        if spread > 0.55 * reach:  # 0.74 of it where points are spread evenly
             raise MeasurementError(
                 f"the points nearest to a {kind} spread over the whole {2 * reach:.2g} mm about it that were looked at; "
                 f"no {kind} of this size is there: give its region, or check its size"

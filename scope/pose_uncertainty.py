@@ -74,7 +74,9 @@ def uncertainty(
     share = (
         w[:, None] * (js @ vector) ** 2 / np.maximum(value, 1e-12 * value[-1])
     )  # of what is known of a direction, by point
-    held = (value > len(w) * 1e-12 * value[-1]) & ((share**2).sum(axis=0) < 1 / FEW)
+    many = (share**2).sum(axis=0) < 1 / FEW
+    many |= ((extra @ vector) ** 2).sum(axis=0) > 1 / LOOSE_MM**2  # or a border holds it
+    held = many & (value > len(w) * 1e-12 * value[-1])
     spread = np.where(held, 1 / np.sqrt(np.maximum(value, 1e-300)), PRIOR_MM)
     spread = np.minimum(spread, PRIOR_MM)
     inverse = (vector * spread**2) @ vector.T

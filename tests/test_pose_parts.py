@@ -173,6 +173,11 @@ class TestSharpEdges:
             fit, points, None, np.zeros(len(points)), None, centre=np.array([25.0, 20, 11]), radius=33.0
         )
         assert len(known.loose) == 3
+        borders = known.loose_motions / 0.03
+        settled = uncertainty(
+            fit, points, None, np.zeros(len(points)), None, centre=np.array([25.0, 20, 11]), radius=33.0, held=borders
+        )
+        assert settled.loose == ()  # what its rim holds is held, grazing points or not
 
 
 class TestFiles:
