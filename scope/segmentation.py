@@ -18,7 +18,13 @@ LEAST_POINTS = 300
 
 
 def clusters(
-    cloud: ScanCloud, diameter: float, face: float, *, width: float = 0.0, region: Region | None = None
+    cloud: ScanCloud,
+    diameter: float,
+    face: float,
+    *,
+    width: float = 0.0,
+    region: Region | None = None,
+    tables: bool | None = None,
 ) -> list[Indices]:
     """Indices of the points of each thing that may be the part, the one with most points first.
 
@@ -34,6 +40,8 @@ def clusters(
         Of the part, mm: a plane that is not longer and not wider than the part is no table either.
     region : Region, optional
         Only its points are looked at, and then no table is taken away and pieces are joined whatever their gap.
+    tables : bool, optional
+        Whether tables are taken away and the rest cut into pieces; by default where there is no region.
 
     Raises
     ------
@@ -48,7 +56,8 @@ def clusters(
         )
     camera = None if cloud.sensors is None else cloud.sensors.centre.mean(axis=0)
     planes: list[Plane] = []
-    if region is None:
+    cut = region is None if tables is None else tables
+    if cut:
         keep, planes = _without_tables(cloud.points, keep, diameter, face, width, camera)
     if len(keep) < LEAST_POINTS:
         raise MeasurementError(
@@ -57,7 +66,7 @@ def clusters(
         )
     cell = _cell(cloud.points[keep], diameter)
     keep = keep[crowded(cloud.points[keep], cell)]
-    if region is not None:
+    if not cut:
         return [keep] if len(keep) >= LEAST_POINTS else []
     pieces = _joined(cloud.points, _connected(cloud.points, keep, cell), diameter)
     large = [

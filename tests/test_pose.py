@@ -189,6 +189,18 @@ def test_shaft_is_found_up_to_a_turn_about_its_axis() -> None:
     assert np.linalg.norm(offset - (offset @ direction) * direction) < 0.05
 
 
+def test_region_may_hold_some_of_the_table() -> None:
+    truth = Pose(np.eye(3), np.array([0.0, 0, 400]) - model("casting").centre)
+    table = parts.box_part(np.array([-90.0, -90, 440]), np.array([90.0, 90, 450]))
+    cloud = parts.scan(
+        part("casting"), truth, np.random.default_rng(1), scanner=parts.Scanner(points=12_000),
+        clutter=((table, Pose.identity()),),
+    )  # fmt: skip
+    found = estimate_pose(cloud, model("casting"), region=Box(x=(-60, 60), y=(-60, 60)))
+    assert found.cloud_from_model is not None, found.why
+    assert right(*errors(part("casting"), found.cloud_from_model, truth))
+
+
 def test_pin_seen_end_on_is_held_by_its_rim() -> None:
     """Nothing but the round end is seen: it slides in itself until points hang over; the turn about the axis stays free."""
     trimesh = pytest.importorskip("trimesh")
