@@ -11,10 +11,11 @@ import numpy as np
 
 from calibration.geometry import Array, Bools
 from scope.artefact_fit import CUT, LEAST, Shape, find_cylinder, find_sphere, fit_levels, fit_shape
-from scope.cloud import ScanCloud
+from scope.cloud import ScanCloud, rotation_from_quaternion
 from scope.errors import MeasurementError
-from scope.pose_light import eyes
+from scope.pose_light import eyes, sheet_and_window
 from scope.pose_search import normals_of, thin
+from scope.pose_uncertainty import shared_errors
 from scope.region import Region
 from scope.segmentation import largest_plane
 
@@ -62,7 +63,14 @@ class Size:
     name: str
     nominal: float  # mm
     measured: float  # mm
-    uncertainty: float  # mm, k = 2, as claimed by the cloud's own sigmas and the scatter
+    scatter: float  # mm, one sigma, of the points, neighbours' errors taken to be alike
+    calibration: float  # mm, one sigma, through the calibration
+    slope: float  # mm, one sigma, through what slopes do to a stripe
+
+    @property
+    def uncertainty(self) -> float:
+        """Mm, k = 2: of the scanner; the artefact's own is not in it."""
+        return 2.0 * float(np.sqrt(self.scatter**2 + self.calibration**2 + self.slope**2))
 
     @property
     def error(self) -> float:
@@ -139,8 +147,8 @@ def check_artefact(
     shape = _fitted(part, known)
     sizes: tuple[Size, ...] = ()
     if known.kind != "plane":
-        uncertainty = 4 * float(np.hypot(shape.radius_se, shape.radius_shared))  # k = 2, of a diameter
-        sizes = (Size("diameter", known.diameter, 2 * shape.radius, uncertainty),)
+        parts = (2 * shape.radius_se, 2 * shape.radius_shared, 2 * shape.radius_slope)
+        sizes = (Size("diameter", known.diameter, 2 * shape.radius, *parts),)
     return _judged(known, sizes, part.points, shape.nearest(part.points), shape.residual, shape.used, tolerance, span)
 
 
@@ -168,17 +176,31 @@ def _rays(cloud: ScanCloud) -> tuple[Array | None, Array | None]:
     return camera, ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
+def _shared(cloud: ScanCloud, camera: Array | None) -> Array:
+    """How far errors of the calibration move each point along its ray (N, K) mm; all alike where the sheet is not known."""
+    sigma_cal = np.nan_to_num(cloud.sigma_cal).astype(np.float64)
+    if camera is None or cloud.sensors is None:
+        return sigma_cal[:, None]
+    first = np.flatnonzero(cloud.sensors.laser == cloud.sensors.laser[0])
+    sheet, _ = sheet_and_window(cloud, first)
+    if sheet is None:
+        return sigma_cal[:, None]
+    normal = rotation_from_quaternion(cloud.sensors.rotation[first[0]]) @ sheet.normal
+    basis = shared_errors(cloud.points, camera, normal, sigma_cal)
+    return sigma_cal[:, None] if basis is None else basis
+
+
 def _fitted(cloud: ScanCloud, known: Artefact) -> Shape:
     points = cloud.points
     camera, ray = _rays(cloud)
-    calibration = np.nan_to_num(cloud.sigma_cal).astype(np.float64)
+    shared, sigma = _shared(cloud, camera), np.nan_to_num(cloud.sigma).astype(np.float64)
     if known.kind == "plane":
         plane = largest_plane(points, 0.5, np.random.default_rng(0))
         if plane is None:
             raise MeasurementError("no plane is in the cloud; scan it, or give its region")
         start = (plane.normal * plane.offset, plane.normal, 0.0)
         on = points[np.abs(plane.distance(points)) < 0.5]
-        return fit_shape("plane", points, (on.mean(axis=0), *start[1:]), ray, calibration, reach=0.5)
+        return fit_shape("plane", points, (on.mean(axis=0), *start[1:]), ray, shared, sigma, reach=0.5)
     radius = known.diameter / 2
     at = thin(points, radius / 25)
     facing = camera[at] if camera is not None else np.broadcast_to(points.mean(axis=0) - [0.0, 0.0, 1e4], (len(at), 3))
@@ -190,7 +212,7 @@ def _fitted(cloud: ScanCloud, known: Artefact) -> Shape:
         else:
             start = (*find_cylinder(points[at], side * normals, radius, np.random.default_rng(0)), radius)
         try:
-            found.append(fit_shape(known.kind, points, start, ray, calibration, reach=0.06 * radius))
+            found.append(fit_shape(known.kind, points, start, ray, shared, sigma, reach=0.06 * radius))
         except MeasurementError:
             if camera is not None:
                 raise
@@ -281,14 +303,21 @@ def _steps(cloud: ScanCloud, known: Artefact, tolerance: float | None, span: flo
     facing = camera[at] if camera is not None else points[at] + 1e4 * towards
     normals = normals_of(points, points[at], facing, radius=5 * spacing)
     found = fit_levels(points, points[at], normals, towards, np.array(known.heights), np.random.default_rng(0))
-    calibration = np.nan_to_num(cloud.sigma_cal).astype(np.float64)
-    slope = np.ones(len(points)) if ray is None else ray @ found.normal
-    moved = np.array([float((slope * calibration)[found.level == k].mean()) for k in range(len(known.heights) + 1)])
+    shared = _shared(cloud, camera)
+    along = np.ones(len(points)) if ray is None else ray @ found.normal
+    bent = along * np.nan_to_num(cloud.sigma) * (1.0 - np.abs(along))
+    levels = range(len(known.heights) + 1)
+    moved = np.stack([(along[:, None] * shared)[found.level == k].mean(axis=0) for k in levels])
+    tilted = np.array([float(bent[found.level == k].mean()) for k in levels])
     sizes = []
     for k, nominal in enumerate(known.heights, start=1):
         scatter = found.covariance[k, k] + found.covariance[0, 0] - 2 * found.covariance[0, k]
-        uncertainty = 2 * float(np.sqrt(scatter + (moved[k] - moved[0]) ** 2))
-        sizes.append(Size(f"step {nominal:g}", nominal, float(found.offset[k] - found.offset[0]), uncertainty))
+        parts = (
+            float(np.sqrt(max(scatter, 0.0))),
+            float(np.linalg.norm(moved[k] - moved[0])),
+            float(abs(tilted[k] - tilted[0])),
+        )
+        sizes.append(Size(f"step {nominal:g}", nominal, float(found.offset[k] - found.offset[0]), *parts))
     used = found.level >= 0
     flat = points - found.residual[:, None] * found.normal
     check = _judged(known, tuple(sizes), points, flat, found.residual, used, tolerance, span)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.geometry import Array, Bools
+from calibration.geometry import Array, Bools, Ints
 from scope.errors import MeasurementError
+from scope.pose_uncertainty import patches
 
 CUT = 3.5  # robust standard deviations beyond which a point is no part of the artefact
 LEAST = 50  # points
@@ -22,8 +23,9 @@ class Shape:
     point: Array  # (3,) mm: centre, a point of the axis, a point of the plane
     direction: Array  # (3,) unit: axis or normal; zero for a sphere
     radius: float  # mm; 0 for a plane
-    radius_se: float  # mm, standard error of the radius from the scatter; 0 for a plane
+    radius_se: float  # mm, standard error of the radius from the scatter, neighbours' errors alike; 0 for a plane
     radius_shared: float  # mm, standard deviation of the radius through the calibration
+    radius_slope: float  # mm, the same through what slopes do to a stripe
     used: Bools  # (N,) points that took part
     residual: Array  # (N,) mm, outside positive
 
@@ -34,7 +36,14 @@ class Shape:
 
 
 def fit_shape(
-    kind: str, points: Array, start: tuple[Array, Array, float], ray: Array | None, sigma_cal: Array, *, reach: float
+    kind: str,
+    points: Array,
+    start: tuple[Array, Array, float],
+    ray: Array | None,
+    shared: Array,
+    sigma: Array,
+    *,
+    reach: float,
 ) -> Shape:
     """Least squares of the distances from a shape, beginning near it; see `Shape`.
 
@@ -47,17 +56,22 @@ def fit_shape(
     start : (point, direction, radius)
         Within about ``reach`` of the truth.
     ray : (N, 3), optional
-        Unit sighting rays, along which ``sigma_cal`` (N,) mm moves all points together.
+        Unit sighting rays.
+    shared : (N, K) mm
+        How far K independent errors of the calibration move each point along its ray, one sigma.
+    sigma : (N,) mm
+        Of the points themselves. On a slope a stripe is displaced by what its width and brightness do there: this is taken
+        to be one sigma at grazing sight, nothing where the surface faces the camera, and alike all over.
     reach : float, mm
         Points further away than this never take part.
 
     Raises
     ------
     MeasurementError
-        Fewer than 50 points near the shape.
+        Fewer than 50 points near the shape, or, but for a plane, no crowding of them on it.
     """
     point, direction, radius = start
-    limit = reach
+    limit, spread = reach, 0.0
     residual, used = np.zeros(len(points)), np.zeros(len(points), dtype=np.bool_)
     jacobian = np.zeros((0, 7))
     for _ in range(25):
@@ -79,11 +93,17 @@ def fit_shape(
             break
         limit = narrower
     residual, normal = _residual(kind, points, point, direction, radius)
-    error, shared = _radius_errors(
-        jacobian, residual[used], normal[used], None if ray is None else ray[used], sigma_cal[used]
-    )
-    size = kind != "plane"
-    return Shape(kind, point, direction, radius, error if size else 0.0, shared if size else 0.0, used, residual)
+    errors = (0.0, 0.0, 0.0)
+    if kind != "plane":
+        if spread > 0.55 * reach:  # 0.74 of it where points are spread evenly
+            raise MeasurementError(
+                f"the points nearest to a {kind} spread over the whole {2 * reach:.2g} mm about it that were looked at; "
+                f"no {kind} of this size is there: give its region, or check its size"
+            )
+        patch = patches(points[used], radius / 5)
+        sight = None if ray is None else ray[used]
+        errors = _radius_errors(jacobian, residual[used], normal[used], patch, sight, shared[used], sigma[used])
+    return Shape(kind, point, direction, radius, *errors, used, residual)
 
 
 def _residual(kind: str, points: Array, point: Array, direction: Array, radius: float) -> tuple[Array, Array]:
@@ -112,16 +132,21 @@ def _jacobian(kind: str, points: Array, normal: Array, point: Array, direction: 
 
 
 def _radius_errors(
-    jacobian: Array, residual: Array, normal: Array, ray: Array | None, sigma_cal: Array
-) -> tuple[float, float]:
-    """Standard error of the radius from the scatter, and its standard deviation through the calibration."""
-    solve = np.linalg.pinv(jacobian, rcond=1e-10)  # (7, N)
-    variance = float((residual**2).sum()) / max(len(residual) - 7, 1)
-    error = float(np.sqrt((solve[6] ** 2).sum() * variance))
+    jacobian: Array, residual: Array, normal: Array, patch: Ints, ray: Array | None, shared: Array, sigma: Array
+) -> tuple[float, float, float]:
+    """Standard error of the radius from the scatter, and its standard deviations through the calibration and through slopes.
+
+    Residuals within a patch may be correlated in any way (Liang & Zeger 1986).
+    """
+    solve = np.linalg.pinv(jacobian, rcond=1e-10)[6]  # (N,)
+    push = np.bincount(patch, weights=solve * residual)
+    error = float(np.sqrt((push**2).sum() * len(push) / max(len(push) - 7, 1)))
     if ray is None:
-        return error, 0.0
-    move = (normal * ray).sum(axis=1) * np.nan_to_num(sigma_cal)
-    return error, float(abs(solve[6] @ move))
+        return error, 0.0, 0.0
+    along = (normal * ray).sum(axis=1)  # -1 where the surface faces the camera
+    moved = (solve * along) @ np.nan_to_num(shared)
+    slope = solve @ (np.nan_to_num(sigma) * (1.0 - np.abs(along)))
+    return error, float(np.linalg.norm(moved)), float(abs(slope))
 
 
 def _unit(vector: Array) -> Array:
@@ -274,8 +299,10 @@ def _refined_levels(points: Array, normal: Array, offset: Array, window: float) 
             mine = residual[level == k]
             spread = 1.4826 * float(np.median(np.abs(mine - np.median(mine))))
             limit[k] = min(window, max(CUT * spread, 1e-6))
-        variance = float(np.sum((residual[rows] + j @ step) ** 2)) / max(len(rows) - j.shape[1], 1)
-        covariance = np.linalg.pinv(j.T @ j)[2:, 2:] * variance
+        push = np.linalg.pinv(j)[2:] * (residual[rows] + j @ step)  # neighbours' errors may be alike
+        patch = patches(points[rows], float(np.ptp(points[rows], axis=0).max()) / 40)
+        pushes = np.stack([np.bincount(patch, weights=row) for row in push])
+        covariance = pushes @ pushes.T * len(pushes.T) / max(len(pushes.T) - j.shape[1], 1)
         if np.abs(step).max() < 1e-9:
             break
     if (limit > 0.8 * window).any():

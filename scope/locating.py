@@ -231,6 +231,7 @@ def check_result(check: ArtefactCheck) -> dict[str, Any]:
                 "measured": s.measured,
                 "error": s.error,
                 "uncertainty": s.uncertainty,
+                "uncertainty_parts": {"scatter": s.scatter, "calibration": s.calibration, "slope": s.slope},
             }
             for s in check.sizes
         ],
@@ -252,6 +253,10 @@ def check_text(check: ArtefactCheck) -> str:
         f"error {check.error_mm:+.4f} mm, form (95 %) {check.form_mm:.4f} mm, rms {check.rms_mm:.4f} mm, linearity {linearity}, "
         f"{check.points} points"
     )
+    if check.claimed is False:
+        lines.append(
+            "the error is larger than the claimed uncertainty: look for what neither noise nor calibration explains"
+        )
     if check.within is not None:
         lines.append("within tolerance" if check.within else "OUT OF TOLERANCE")
     return "\n".join(lines)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,13 +60,21 @@ def estimate_pose(
     sides = np.sort(np.ptp(prepared.vertices, axis=0))
     if len(cloud):
         _require_units(cloud, prepared, region)
-    pieces = segmentation.clusters(cloud, prepared.diameter, float(sides[1] * sides[2]), region=region)
     surface = Surface(prepared.vertices, prepared.faces)
-    results: list[PoseResult] = []
-    pieces = pieces if chosen.several else pieces[:1]
-    for rows in pieces[:12]:
-        results.append(locate(cloud, rows, prepared, surface, initial, chosen))
-    results.sort(key=lambda r: (not r.found, -len(r.points)))
+
+    def tried(tables: bool) -> list[PoseResult]:
+        pieces = segmentation.clusters(
+            cloud, prepared.diameter, float(sides[1] * sides[2]), width=float(sides[1]), region=region, tables=tables
+        )
+        pieces = pieces if chosen.several else pieces[:1]
+        found = [locate(cloud, rows, prepared, surface, initial, chosen) for rows in pieces[:12]]
+        return sorted(found, key=lambda r: (not r.found, -len(r.points)))
+
+    results = tried(tables=region is None)
+    if region is not None and not any(r.found or r.ambiguous for r in results):
+        # the region may hold some of what the part stands on; where nothing stands out of that, the first answer holds
+        with suppress(MeasurementError):
+            results = [r for r in tried(tables=True) if r.found] or results
     best = results[0]
     if not best.found:
         best = max(results, key=lambda r: len(r.points))

@@ -17,6 +17,8 @@ CAP = 8.0  # nats: a point that the model does not explain
 BLOCKED = 12.0  # nats: a point that camera or laser could not have reached through the model
 MISSING = 3.0  # nats: surface that both should have seen and no point lies on; less, since metal also loses light
 MARGIN = 30.0  # nats between a pose and its runner-up
+GRAZE = 0.15  # spacings of the thinned scan: how deep a line of sight must lead into the model to be blocked by it
+STEP = 0.01  # spacings behind the first crossing, where the next one is looked for
 SPEAKS = 2.0  # nats: what a single point or sample must say to be heard in this
 
 
@@ -77,7 +79,7 @@ def weigh(
     gap = np.linalg.norm(local - closest, axis=1)
     variance = sigma**2 + tolerance**2
     cost = np.minimum(gap**2 / (2 * variance), CAP)
-    blocked = _blocked(surface, inverse, view, spacing)
+    blocked = lines_blocked(surface, inverse, view, spacing)
     # a point that lies well and is blocked sits on the far side of a wall
     cost[blocked] = BLOCKED
     explained = float(((gap**2 < 16 * variance) & ~blocked).mean())
@@ -98,8 +100,12 @@ def weigh(
     return Evidence(pose, cost, sample_cost, explained, through, covered, expected)
 
 
-def _blocked(surface: Surface, inverse: Pose, view: View, spacing: float) -> Bools:
-    """Points (N,) between which and the camera or the laser the model stands; the first two spacings are let pass."""
+def lines_blocked(surface: Surface, inverse: Pose, view: View, spacing: float) -> Bools:
+    """Points (N,) between which and the camera or the laser the model stands.
+
+    The first two spacings of the way are let pass, and so is a way that only grazes an edge or runs along a wall: in the middle
+    of its stretch inside the model it must be deeper than ``GRAZE`` spacings.
+    """
     local = inverse.apply(view.points)
     blocked = np.zeros(len(local), dtype=np.bool_)
     for eye in (view.camera, view.laser):
@@ -107,7 +113,18 @@ def _blocked(surface: Surface, inverse: Pose, view: View, spacing: float) -> Boo
             continue
         way = inverse.apply(eye) - local
         way /= np.linalg.norm(way, axis=1, keepdims=True)
-        blocked |= np.isfinite(surface.first_hit(local + 2.0 * spacing * way, way))
+        origin = local + 2.0 * spacing * way
+        first = surface.first_hit(origin, way)
+        rows = np.flatnonzero(np.isfinite(first) & ~blocked)
+        if len(rows) == 0:
+            continue
+        origin, way, first = origin[rows], way[rows], first[rows, None]
+        behind = origin + (first + STEP * spacing) * way
+        second = surface.first_hit(behind, way)
+        second = np.where(np.isfinite(second), second, 0.0)[:, None]
+        for middle in (origin + 0.5 * first * way, behind + 0.5 * second * way):  # one of the two stretches is inside
+            depth = np.linalg.norm(surface.nearest(middle)[0] - middle, axis=1)
+            blocked[rows] |= surface.inside(middle) & (depth > GRAZE * spacing)
     return blocked
 
 

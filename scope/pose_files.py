@@ -18,7 +18,7 @@ from scope.pose_model import Axis, Model, prepare_model
 
 MOST_FACES = 2_000_000
 OPEN_SHARE = 0.002  # of the surface: what filling may add to a mesh that is not watertight
-VERSION = "pose-model-1"  # change with anything that `prepare_model` makes
+VERSION = "pose-model-2"  # change with anything that `prepare_model` makes
 
 
 def load_model(path: str | Path, *, cache: Path | None = None, use_cache: bool = True) -> Model:

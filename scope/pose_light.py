@@ -147,7 +147,7 @@ def light_of(cloud: ScanCloud, others: Array, *, voxel: float, rows: int = 32) -
     some = cloud.points[:: max(1, len(cloud) // 2000)]
     near = tree.query(some, k=2)[0][:, 1]
     reach = max(4.0 * float(np.median(near)), 0.8 * voxel)
-    sheet, window = _sheet_and_window(cloud, first)
+    sheet, window = sheet_and_window(cloud, first)
     row_of_frame = np.zeros(int(max(sensors.frame.max(), cloud.frame.max())) + 1, dtype=np.int64)
     row_of_frame[:] = np.argmin(np.abs(sensors.frame[chosen][None, :] - np.arange(len(row_of_frame))[:, None]), axis=1)
     return Light(
@@ -164,7 +164,7 @@ def light_of(cloud: ScanCloud, others: Array, *, voxel: float, rows: int = 32) -
     )
 
 
-def _sheet_and_window(cloud: ScanCloud, rows: np.ndarray[Any, np.dtype[np.int64]]) -> tuple[Plane | None, Any]:
+def sheet_and_window(cloud: ScanCloud, rows: np.ndarray[Any, np.dtype[np.int64]]) -> tuple[Plane | None, Any]:
     """The plane on which all points of a laser lie in the camera's moving frame, and the bounds of their directions."""
     sensors = cloud.sensors
     if sensors is None:

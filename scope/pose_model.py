@@ -69,11 +69,14 @@ def prepare_model(vertices: Array, faces: Ints, *, name: str = "model", sha256: 
     fine, coarse = _grids(surface, low, high, diameter)
     views = fibonacci_sphere(162)
     centroids = _view_centroids(surface, samples, normals, views, diameter)
-    axis = _axis_of_revolution(fine, samples, diameter)
+    middle, axes = principal_axes(vertices, faces)
+    axis = _axis_of_revolution(fine, samples, middle, axes, diameter)
     likenesses = tuple(
         _sharpened(surface, samples, p, diameter) for p in _likenesses(coarse, fine, samples, normals, diameter)
     )
-    exact = tuple(p for p in likenesses if _misfit(surface, samples, p) < max(2e-4 * diameter, 2e-3))
+    close = max(2e-4 * diameter, 2e-3)
+    likenesses += _plain_turns(surface, samples, likenesses, middle, axes, close)
+    exact = tuple(p for p in likenesses if _misfit(surface, samples, p) < close)
     return Model(
         name,
         sha256,
@@ -246,19 +249,47 @@ def _likenesses(
 def quarter_turns(centred: Array) -> Array:
     """The 24 rotations of a cube, in the principal axes of points (N, 3) about their middle."""
     axes = np.linalg.svd(centred, full_matrices=False)[2]
+    return np.ascontiguousarray(axes.T @ _turns_of_a_cube() @ axes)
+
+
+def _turns_of_a_cube() -> Array:
+    """The rotations (24, 3, 3) that take the axes of coordinates into each other."""
     signs = [np.eye(3)[list(p)] * np.array(s) for p in _PERMUTATIONS for s in _SIGNS]
-    cube = np.array([m for m in signs if np.linalg.det(m) > 0])
-    return np.ascontiguousarray(axes.T @ cube @ axes)
+    return np.array([m for m in signs if np.linalg.det(m) > 0])
 
 
 _PERMUTATIONS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 _SIGNS = tuple((a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1))
 
 
-def _axis_of_revolution(fine: DistanceGrid, samples: Array, diameter: float) -> Axis | None:
+def principal_axes(vertices: Array, faces: Ints) -> tuple[Array, Array]:
+    """Middle (3,) mm of a mesh's surface and its principal axes (3, 3), rows, by exact integrals over the triangles."""
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1) / 2
+    middle = area @ corners.mean(axis=1) / area.sum()
+    local = corners - middle
+    total = local.sum(axis=1)
+    moment = np.einsum("f,fki,fkj->ij", area / 12, local, local) + np.einsum("f,fi,fj->ij", area / 12, total, total)
+    axes = np.linalg.eigh(moment)[1].T
+    return np.asarray(middle), np.asarray(axes * np.sign(np.linalg.det(axes)))
+
+
+def _plain_turns(
+    surface: Surface, samples: Array, known: tuple[Pose, ...], middle: Array, axes: Array, close: float
+) -> tuple[Pose, ...]:
+    """Half and quarter turns about the principal axes that are symmetries and were not found: those of thin sheets."""
+    found: list[Pose] = []
+    for turn in _turns_of_a_cube():
+        motion = Pose(axes.T @ turn @ axes, middle - axes.T @ turn @ axes @ middle)
+        new = all(angle_between(motion.rotation, p.rotation) > 0.03 for p in (Pose.identity(), *known, *found))
+        if new and _misfit(surface, samples, motion) < close:
+            found.append(motion)
+    return tuple(found)
+
+
+def _axis_of_revolution(fine: DistanceGrid, samples: Array, middle: Array, axes: Array, diameter: float) -> Axis | None:
     """The axis about which any turn leaves the surface where it is, if there is one (principal axes are tried)."""
-    middle = samples.mean(axis=0)
-    axes = np.linalg.svd(samples - middle, full_matrices=False)[2]
     for direction in axes:
         worst = 0.0
         for angle in (0.3, 1.1, 2.3, 3.7):

@@ -9,11 +9,12 @@ from scope import segmentation
 from scope.cloud import ScanCloud
 from scope.pose_answer import LEAST_SHOWN, Candidate, PoseOptions, PoseResult
 from scope.pose_decision import CAP, MISSING, Evidence, area_of, margin, same_answer, weigh
-from scope.pose_hold import hold
+from scope.pose_hold import REACH, hold
 from scope.pose_light import Light, eyes, light_of
 from scope.pose_model import Model, distinct
 from scope.pose_refine import evaluate, refine
 from scope.pose_report import what_differs
+from scope.pose_rim import settle_by_rim
 from scope.pose_search import View, normals_of, polish, search, thin
 from scope.pose_surface import Surface
 from scope.pose_uncertainty import Uncertainty, shared_errors, uncertainty
@@ -137,7 +138,9 @@ def _weigh_all(
     done: list[Evidence] = []
     hopeless = quick[order[0]] > 0.7 * CAP * len(sigma)
     for k in near[: 2 if hopeless else options.candidates]:
-        fit = refine(surface, poses[k], view.points[few], sigma[few], camera, reach=reach, floor=tolerance)
+        fit = refine(
+            surface, poses[k], view.points[few], sigma[few], camera, reach=reach, floor=tolerance, borders=True
+        )
         if not any(same_answer(model, fit.pose, e.pose, turn=0.004, shift=0.002 * d) for e in done):
             done.append(
                 weigh(model, surface, fit.pose, view, sigma, light, witnesses, tolerance=tolerance, spacing=spacing)
@@ -170,12 +173,17 @@ def _decide(
     known = uncertainty(fit, points, camera, shared_sigma, parameters, centre=middle, radius=model.diameter / 2)
     misfit = _misfit(best, options)
     score, rival = _runner_up(model, weighed)
-    if not misfit and rival is None and known.loose and not _of_axis(model, fit.pose, known):
-        settled = hold(
-            surface, fit.pose, known.loose_motions, points[fit.used], sigma[fit.used], middle, model.diameter / 2
-        )
+    borders = ""
+    sliding = _but_axis(model, fit.pose, known.loose_motions, middle)
+    if not misfit and rival is None and len(sliding):
+        local = fit.pose.inverse.apply(points)
+        near = np.linalg.norm(surface.nearest(local)[0] - local, axis=1) < 1.5 * REACH
+        settled = hold(surface, fit.pose, sliding, points[near], sigma[near], middle, model.diameter / 2)
+        if settled is None and light is not None:
+            settled = settle_by_rim(surface, model, fit.pose, sliding, points[near], light, middle, model.diameter / 2)
         if settled is not None:
-            rows_held = known.loose_motions / settled[1][:, None]
+            borders = "; faces that slide in themselves were placed by their borders"
+            rows_held = sliding / settled[1][:, None]
             fit = evaluate(surface, settled[0], points, sigma, camera, cut=reach, floor=options.form)
             known = uncertainty(
                 fit, points, camera, shared_sigma, parameters,
@@ -195,6 +203,7 @@ def _decide(
     good, ambiguous = not why, bool(tell)
     if good:
         why = "no other pose comes near" if np.isinf(score) else f"{score:.0f} nats better than the runner-up"
+        why += borders
     return PoseResult(
         cloud_from_model=fit.pose if good else None,
         covariance=known.covariance if good else None,
@@ -239,6 +248,19 @@ def _runner_up(model: Model, weighed: list[Evidence]) -> tuple[float, Evidence |
         if not sure:
             return gain, other
     return score, None
+
+
+def _but_axis(model: Model, pose: Pose, loose: Array, middle: Array) -> Array:
+    """Loose motions (L, 6) without the turn about the model's own axis of revolution, which nothing can stop."""
+    if model.axis is None or len(loose) == 0:
+        return loose
+    direction, arm = pose.rotation @ model.axis.direction, middle - pose.apply(model.axis.point)
+    turn = np.concatenate([np.cross(direction, arm), direction * model.diameter / 2])
+    turn /= np.linalg.norm(turn)
+    if np.linalg.norm(loose @ turn) < 0.98:
+        return loose
+    rest = loose - np.outer(loose @ turn, turn)
+    return np.asarray(np.linalg.svd(rest, full_matrices=False)[2][: len(loose) - 1])
 
 
 def _of_axis(model: Model, pose: Pose, known: Uncertainty) -> bool:

@@ -10,6 +10,10 @@ from calibration.geometry import Array, Bools, Pose
 from scope.pose_surface import Surface
 
 TAILS = 6.0
+SLANT = 0.3  # cosine of the slant beyond which a surface is not taken to be known better still across it
+GRAZING = 0.1  # cosine of the slant beyond which nothing is ranged
+STEP = 0.3  # mm, one sigma of a step's prior: motions that nothing holds are not run away with
+EDGE = 3.0  # standard deviations from a sharp edge within which noise may put a point on the wrong face
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +39,8 @@ def refine(
     reach: tuple[float, ...],
     floor: float,
     tails: float = TAILS,
+    edge: float = 0.0,
+    borders: bool = False,
 ) -> Fit:
     """Iterated point-to-plane alignment (Chen & Medioni 1991) with Tukey weights and the points' own sigma.
 
@@ -53,19 +59,29 @@ def refine(
         Where Tukey's weight ends, in standard deviations (made larger where the residuals are larger than claimed).
     floor : float
         Standard deviation, mm, that no residual is better than (form of the part, facets).
+    edge : float, mm
+        Points with their foot within three standard deviations of a sharp edge, and this much more, take no part.
+    borders : bool
+        Points that hang over an edge pull the edge towards them. On the way to the pose this stops faces from sliding
+        in themselves; the last steps do without, since a stripe is smeared at an edge.
 
     Returns
     -------
     Fit
-        Points beyond an edge, whose nearest surface point is not straight below them, have no weight.
+        Points beyond an edge, whose nearest surface point is not straight below them, have no weight without ``borders``.
     """
     for cut in reach:
-        fit = evaluate(surface, pose, points, sigma, camera, cut=cut, floor=floor, tails=tails)
+        fit = evaluate(
+            surface, pose, points, sigma, camera, cut=cut, floor=floor, tails=tails, edge=edge, borders=borders
+        )
         root = np.sqrt(fit.weight)[:, None]
-        x = np.linalg.lstsq(root * fit.jacobian * _SCALE, -root[:, 0] * fit.residual, rcond=1e-7)[0] * _SCALE
+        rows = np.concatenate([root * fit.jacobian * _SCALE, np.eye(6) / STEP])
+        x = np.linalg.lstsq(rows, np.append(-root[:, 0] * fit.residual, np.zeros(6)), rcond=None)[0] * _SCALE
         moved = Pose.from_rotation_vector(x[3:], np.zeros(3)).rotation
         pose = Pose(moved @ pose.rotation, pose.translation + x[:3])
-    return evaluate(surface, pose, points, sigma, camera, cut=reach[-1], floor=floor, tails=tails)
+    return evaluate(
+        surface, pose, points, sigma, camera, cut=reach[-1], floor=floor, tails=tails, edge=edge, borders=borders
+    )
 
 
 _SCALE = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # 1 mm and 0.02 rad move a point 50 mm away alike
@@ -81,6 +97,8 @@ def evaluate(
     cut: float,
     floor: float,
     tails: float = TAILS,
+    edge: float = 0.0,
+    borders: bool = False,
 ) -> Fit:
     """Residuals, weights and derivatives at one pose; see `refine`."""
     closest, normal = surface.nearest(pose.inverse.apply(points))
@@ -94,9 +112,21 @@ def evaluate(
     if camera is not None:
         ray = camera - points
         slope = (ray * normal).sum(axis=1) / np.linalg.norm(ray, axis=1)
-        facing = slope > 0.05
-    variance = (sigma * slope) ** 2 + floor**2
-    used = (np.abs(residual) < cut) & facing & (aside < 0.3 * sigma + 0.01)
+        facing = slope > GRAZING
+    variance = (sigma * np.maximum(slope, SLANT)) ** 2 + floor**2
+    below = aside < 0.3 * sigma + 0.01  # the nearest surface is straight below, not an edge
+    margin = EDGE * sigma + edge
+    far = surface.crease_distance(closest, float(margin.max())) > margin
+    if borders:
+        length = np.linalg.norm(gap, axis=1)
+        over = ~below & (length > 1e-9)
+        normal = np.where(over[:, None], gap / np.maximum(length, 1e-9)[:, None], normal)
+        residual = np.where(over, length, residual)
+        variance = np.where(over, sigma**2 + floor**2, variance)
+        facing |= over
+        far |= over
+        below |= over
+    used = (np.abs(residual) < cut) & facing & below & far
     deviate = residual / np.sqrt(variance)
     usual = 1.4826 * float(np.median(np.abs(deviate[used]))) if used.any() else 1.0
     share = (deviate / (tails * max(usual, 1.0))) ** 2

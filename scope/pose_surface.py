@@ -26,6 +26,8 @@ class Surface:
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         self._normals = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
         self._offsets = ((corners[:, 0] - self._shift) * self._normals).sum(axis=1)
+        self._creases: Any = None  # cKDTree of points along the sharp edges, made when first asked for
+        self._sharp = (vertices, faces)
 
     def _tensor(self, values: Array) -> Any:
         return self._o3d.core.Tensor(np.ascontiguousarray(values, dtype=np.float32))
@@ -52,6 +54,16 @@ class Surface:
         """Whether points (N, 3) lie inside (parity)."""
         return np.asarray(self._scene.compute_occupancy(self._tensor(points - self._shift), nsamples=3).numpy() > 0.5)
 
+    def crease_distance(self, points: Array, reach: float) -> Array:
+        """Distance (N,) mm to the nearest sharp edge of the mesh (convex or hollow), inf beyond ``reach`` mm."""
+        if self._creases is None:
+            from scipy.spatial import cKDTree
+
+            self._creases = cKDTree(creases(*self._sharp, self._normals))
+        if self._creases.n == 0:
+            return np.full(len(points), np.inf)
+        return np.asarray(self._creases.query(points, distance_upper_bound=reach, workers=1)[0])
+
     def first_hit(self, origin: Array, direction: Array) -> Array:
         """Distance (N,) mm along unit directions to the first crossing, inf where there is none."""
         rays = self._tensor(np.concatenate([origin - self._shift, direction], axis=1))
@@ -70,3 +82,32 @@ def sample_surface(vertices: Array, faces: Ints, count: int, rng: np.random.Gene
     u, v = np.sqrt(rng.random(count)), rng.random(count)
     points = (1 - u)[:, None] * a[face] + (u * (1 - v))[:, None] * b[face] + (u * v)[:, None] * c[face]
     return points, np.asarray(cross[face] / area[face, None])
+
+
+SHARP = 0.35  # rad between the normals of two faces, above which their edge is one of the part and not of its facets
+
+
+def creases(vertices: Array, faces: Ints, normals: Array, *, most: int = 400_000) -> Array:
+    """Points (K, 3) along all sharp edges of a mesh with face normals (F, 3), a two-thousandth of the diameter apart.
+
+    Further apart where they would be more than ``most``. A part without sharp edges gives none.
+    """
+    low, diameter = vertices.min(axis=0), float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    _, same = np.unique(np.round((vertices - low) / (1e-6 * diameter)), axis=0, return_inverse=True)
+    corner = same.ravel()[faces]
+    ends = np.sort(np.stack([corner, np.roll(corner, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    place = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    key = ends[:, 0] * (int(corner.max()) + 1) + ends[:, 1]
+    order = np.argsort(key, kind="stable")
+    twin = key[order[:-1]] == key[order[1:]]
+    first, second = order[:-1][twin], order[1:][twin]
+    cosine = (normals[first // 3] * normals[second // 3]).sum(axis=1)
+    sharp = place[first[cosine < np.cos(SHARP)]]
+    a, b = vertices[sharp[:, 0]], vertices[sharp[:, 1]]
+    length = np.linalg.norm(b - a, axis=1)
+    step = max(diameter / 2000, float(length.sum()) / most)
+    count = np.ceil(length / step).astype(np.int64) + 1
+    edge = np.repeat(np.arange(len(sharp)), count)
+    along = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+    part = along / np.maximum(count[edge] - 1, 1)
+    return np.asarray(a[edge] + part[:, None] * (b - a)[edge])

@@ -10,6 +10,7 @@ from calibration.geometry import Array, Ints
 from scope.pose_refine import Fit
 
 LOOSE_MM = 0.12  # a direction known worse than this (or its turn at half a diameter) is not determined
+FEW = 12.0  # points or fewer in effect hold nothing: they may all lie on an edge
 PRIOR_MM = 100.0  # a direction that nothing holds is given about this much
 
 
@@ -70,12 +71,17 @@ def uncertainty(
     extra = np.zeros((0, 6)) if held is None else held
     h = js.T @ (w[:, None] * js) + extra.T @ extra
     value, vector = np.linalg.eigh(h)
-    held = value > len(w) * 1e-12 * value[-1]
+    share = (
+        w[:, None] * (js @ vector) ** 2 / np.maximum(value, 1e-12 * value[-1])
+    )  # of what is known of a direction, by point
+    many = (share**2).sum(axis=0) < 1 / FEW
+    many |= ((extra @ vector) ** 2).sum(axis=0) > 1 / LOOSE_MM**2  # or a border holds it
+    held = many & (value > len(w) * 1e-12 * value[-1])
     spread = np.where(held, 1 / np.sqrt(np.maximum(value, 1e-300)), PRIOR_MM)
     spread = np.minimum(spread, PRIOR_MM)
     inverse = (vector * spread**2) @ vector.T
     a = inverse @ (js * w[:, None]).T  # (6, N)
-    patch = _patches(points[used], radius / 10)
+    patch = patches(points[used], radius / 10)
     pushes = np.stack([np.bincount(patch, weights=row) for row in a * fit.residual[used]])  # (6, patches)
     few = len(pushes.T) / max(len(pushes.T) - 6.0, 1.0)
     random = (
@@ -142,7 +148,7 @@ def _shift_reference(arm: Array) -> Array:
     return m
 
 
-def _patches(points: Array, side: float) -> Ints:
+def patches(points: Array, side: float) -> Ints:
     """Number (N,) of the cube of side ``side`` mm that each point lies in, from 0 without gaps."""
     cell = (
         np.floor((points - points.min(axis=0)) / side).astype(np.int64) if len(points) else np.zeros((0, 3), np.int64)

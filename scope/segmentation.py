@@ -17,7 +17,15 @@ Indices: TypeAlias = NDArray[np.int64]
 LEAST_POINTS = 300
 
 
-def clusters(cloud: ScanCloud, diameter: float, face: float, *, region: Region | None = None) -> list[Indices]:
+def clusters(
+    cloud: ScanCloud,
+    diameter: float,
+    face: float,
+    *,
+    width: float = 0.0,
+    region: Region | None = None,
+    tables: bool | None = None,
+) -> list[Indices]:
     """Indices of the points of each thing that may be the part, the one with most points first.
 
     Parameters
@@ -28,8 +36,12 @@ def clusters(cloud: ScanCloud, diameter: float, face: float, *, region: Region |
         Of the part, mm: things much smaller than it are left out, pieces that fit into it together are joined.
     face : float
         Largest area, mm2, that the part can show; a plane that is larger is a table.
+    width : float
+        Of the part, mm: a plane that is not longer and not wider than the part is no table either.
     region : Region, optional
         Only its points are looked at, and then no table is taken away and pieces are joined whatever their gap.
+    tables : bool, optional
+        Whether tables are taken away and the rest cut into pieces; by default where there is no region.
 
     Raises
     ------
@@ -44,8 +56,9 @@ def clusters(cloud: ScanCloud, diameter: float, face: float, *, region: Region |
         )
     camera = None if cloud.sensors is None else cloud.sensors.centre.mean(axis=0)
     planes: list[Plane] = []
-    if region is None:
-        keep, planes = _without_tables(cloud.points, keep, diameter, face, camera)
+    cut = region is None if tables is None else tables
+    if cut:
+        keep, planes = _without_tables(cloud.points, keep, diameter, face, width, camera)
     if len(keep) < LEAST_POINTS:
         raise MeasurementError(
             f"{len(cloud)} points lie on {len(planes)} plane(s) larger than the part and only {len(keep)} stand out; "
@@ -53,7 +66,7 @@ def clusters(cloud: ScanCloud, diameter: float, face: float, *, region: Region |
         )
     cell = _cell(cloud.points[keep], diameter)
     keep = keep[crowded(cloud.points[keep], cell)]
-    if region is not None:
+    if not cut:
         return [keep] if len(keep) >= LEAST_POINTS else []
     pieces = _joined(cloud.points, _connected(cloud.points, keep, cell), diameter)
     large = [
@@ -85,7 +98,7 @@ def _cell(points: Array, diameter: float) -> float:
 
 
 def _without_tables(
-    points: Array, keep: Indices, diameter: float, face: float, camera: Array | None
+    points: Array, keep: Indices, diameter: float, face: float, width: float, camera: Array | None
 ) -> tuple[Indices, list[Plane]]:
     found: list[Plane] = []
     for _ in range(3):
@@ -104,6 +117,8 @@ def _without_tables(
         behind = side < -0.02 * diameter
         if len(flat) < LEAST_POINTS or (area < 1.2 * face and extent(flat) < 1.3 * diameter):
             break
+        if _fits(_in_plane(flat, plane), diameter, width + cell):  # a rod is flat too, where nothing else is seen of it
+            break
         if camera is not None and behind.sum() > 0.1 * len(keep):
             break
         found.append(plane)
@@ -111,6 +126,14 @@ def _without_tables(
         if len(keep) < LEAST_POINTS:
             break
     return keep, found
+
+
+def _fits(flat: Array, length: float, width: float) -> bool:
+    """Whether points (N, 2) mm fit into a rectangle but for the outermost 0.5 % on either side."""
+    centred = flat - flat.mean(axis=0)
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
+    low, high = np.percentile(along, [0.5, 99.5], axis=0)
+    return bool(high[0] - low[0] < length and high[1] - low[1] < width)
 
 
 def _in_plane(points: Array, plane: Plane) -> Array:

@@ -50,8 +50,9 @@ def test_sphere_on_a_table(true_diameter: float) -> None:
     points = np.concatenate([cap(true_diameter / 2, np.array([10.0, -5, 400]), 4000, rng), table(421.0, 6000, rng)])
     check = check_artefact(seen(points, rng), "sphere:d=40", tolerance=0.1)
     (size,) = check.sizes
-    assert size.measured - true_diameter == pytest.approx(0.0, abs=3 * size.uncertainty / 2)
-    assert size.uncertainty < 0.01
+    assert size.measured - true_diameter == pytest.approx(0.0, abs=3 * size.scatter)
+    assert size.scatter < 0.005
+    assert size.uncertainty == pytest.approx(2 * np.hypot(size.scatter, size.slope))
     assert check.error_mm == size.error
     assert check.within == (true_diameter == 40.0)
     assert check.form_mm == pytest.approx(2 * 1.96 * 0.02 * 0.7, rel=0.3)
@@ -65,9 +66,36 @@ def test_size_error_scatters_as_claimed() -> None:
         rng = np.random.default_rng(seed)
         (size,) = check_artefact(seen(cap(20.0, np.array([0.0, 0, 400]), 1500, rng), rng), "sphere:d=40").sizes
         errors.append(size.error)
-        claims.append(size.uncertainty / 2)
+        claims.append(size.scatter)
     assert 0.65 < np.std(errors) / np.mean(claims) < 1.4
     assert abs(np.mean(errors)) < 4 * np.mean(claims) / np.sqrt(40)
+
+
+def test_displacement_on_slopes_is_within_what_is_claimed_for_it() -> None:
+    """Points pushed out by one sigma at grazing sight, nothing where the surface faces the camera: the claim is that size."""
+    rng = np.random.default_rng(11)
+    centre = np.array([0.0, 0, 400])
+    points = cap(20.0, centre, 4000, rng)
+    out = (points - centre) / 20.0
+    facing = -(out * points).sum(axis=1) / np.linalg.norm(points, axis=1)
+    (size,) = check_artefact(seen(points + 0.02 * (1 - facing)[:, None] * out, rng), "sphere:d=40").sizes
+    assert size.error > 5 * size.scatter  # it shows
+    assert size.error == pytest.approx(size.slope, abs=3 * size.scatter)  # and is what was foretold
+
+
+def test_errors_of_a_patch_do_not_average_out() -> None:
+    """Errors shared by all points of a cell of 2 mm: the claimed scatter is that which they make, many points or not."""
+    errors, claims = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        points = cap(20.0, np.array([0.0, 0, 400]), 3000, rng)
+        cell = np.floor(points / 2.0).astype(int) @ [1, 50, 2500]
+        shared = 0.02 * rng.normal(size=len(points))[np.unique(cell, return_inverse=True)[1]]
+        ray = points / np.linalg.norm(points, axis=1, keepdims=True)
+        (size,) = check_artefact(seen(points + shared[:, None] * ray, rng, noise=0.005), "sphere:d=40").sizes
+        errors.append(size.error)
+        claims.append(size.scatter)
+    assert 0.6 < np.std(errors) / np.mean(claims) < 1.5
 
 
 def test_cylinder() -> None:
@@ -148,6 +176,16 @@ def test_repeats_give_the_scatter() -> None:
 def test_unknown_artefacts_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match="is not known"):
         Artefact.parse(text)
+
+
+@pytest.mark.parametrize("artefact", ["sphere:d=20", "sphere:d=30", "sphere:d=40"])
+def test_what_is_no_sphere_is_none(artefact: str) -> None:
+    """Somewhere on a bracket some points always lie within 6 % of a sphere's radius: filling that band, they are none."""
+    made = parts.bracket()
+    pose = parts.random_pose(made, np.random.default_rng(5))
+    cloud = parts.scan(made, pose, np.random.default_rng(5), scanner=parts.Scanner(points=8000, noise=0.03))
+    with pytest.raises(MeasurementError):
+        check_artefact(cloud, artefact)
 
 
 def test_artefact_that_is_not_there() -> None:

@@ -19,15 +19,17 @@ from calibration.geometry import Pose
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError, MissingLibraryError
 from scope.locating import frame_of, place, pose_result, read_transform, write_deviation
-from scope.pose import estimate_pose
-from scope.pose_decision import Evidence, margin, same_answer
+from scope.pose import PoseOptions, estimate_pose
+from scope.pose_decision import Evidence, lines_blocked, margin, same_answer
 from scope.pose_files import load_model, read_mesh
 from scope.pose_grid import align, hidden
 from scope.pose_light import light_of
-from scope.pose_model import Model, angle_between, prepare_model, rotations
+from scope.pose_model import Model, angle_between, prepare_model, principal_axes, rotations
+from scope.pose_refine import evaluate
 from scope.pose_report import roll_pitch_yaw
-from scope.pose_search import normals_of, thin
+from scope.pose_search import View, normals_of, thin
 from scope.pose_surface import Surface
+from scope.pose_uncertainty import uncertainty
 from scope.segmentation import clusters, extent, largest_plane
 
 
@@ -104,6 +106,18 @@ class TestModel:
             assert np.degrees(angle_between(motion.rotation, np.eye(3))) == pytest.approx(180, abs=0.1)
             assert motion.apply(known.centre) == pytest.approx(known.centre, abs=0.05)
 
+    def test_thin_sheet_has_its_flips(self) -> None:
+        """Thinner than the grid can tell its faces apart."""
+        sheet = parts.box_part(np.array([0.0, 0, 0]), np.array([60.0, 36, 0.6]))
+        assert len(prepare_model(sheet.vertices, sheet.faces).symmetries) == 3
+
+    def test_axis_of_revolution_is_that_of_the_mesh(self) -> None:
+        made = trimesh.creation.cylinder(radius=12, height=50, sections=96)
+        turn = Pose.from_rotation_vector([0.4, -0.7, 0.2], [3.0, 4.0, 5.0])
+        middle, axes = principal_axes(turn.apply(np.asarray(made.vertices)), np.asarray(made.faces))
+        assert middle == pytest.approx(turn.translation, abs=1e-9)
+        assert np.abs(axes @ turn.rotation[:, 2]).max() == pytest.approx(1.0, abs=1e-12)
+
     def test_plate_is_like_itself_eight_ways_but_symmetric_in_none(self) -> None:
         made = parts.plate()
         known = prepare_model(made.vertices, made.faces)
@@ -120,6 +134,50 @@ class TestModel:
         assert np.linalg.norm(points - closest, axis=1) == pytest.approx(distance, abs=1e-3)
         assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-12
         assert len(expected) == 300
+
+
+class TestSharpEdges:
+    def test_distance_to_the_edges_of_a_block_is_the_analytic_one(self) -> None:
+        block = parts.box_part(np.array([0.0, 0, 0]), np.array([50.0, 40, 22]))
+        points = np.random.default_rng(0).uniform(-5, 55, (400, 3))
+        sides = np.array([50.0, 40.0, 22.0])
+        away = np.minimum(np.abs(points), np.abs(points - sides))  # from the two planes across each axis
+        over = np.maximum(np.maximum(-points, points - sides), 0.0)
+        along = [
+            np.sqrt(over[:, a] ** 2 + away[:, b] ** 2 + away[:, c] ** 2)
+            for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+        ]
+        found = Surface(block.vertices, block.faces).crease_distance(points, 100.0)
+        assert found == pytest.approx(np.min(along, axis=0), abs=0.01)
+
+    def test_facets_of_a_round_part_are_no_edges(self) -> None:
+        assert np.isinf(Surface(ball().vertices, ball().faces).crease_distance(ball().samples[::50], 10.0)).all()
+        tube = trimesh.creation.cylinder(radius=15, height=60, sections=48)
+        surface = Surface(np.asarray(tube.vertices), np.asarray(tube.faces))
+        assert surface.crease_distance(np.array([[15.0, 0, 0], [15, 0, 20]]), 100.0) == pytest.approx(
+            [30, 10], abs=0.05
+        )
+
+    def test_two_grazing_points_hold_nothing(self) -> None:
+        """A face seen square on with two points of a wall beside it: the face still slides."""
+        block = parts.box_part(np.array([0.0, 0, 0]), np.array([50.0, 40, 22]))
+        surface = Surface(block.vertices, block.faces)
+        rng = np.random.default_rng(0)
+        top = np.column_stack(
+            [rng.uniform(2, 48, 3000), rng.uniform(2, 38, 3000), 22 + rng.normal(scale=0.02, size=3000)]
+        )
+        points = np.concatenate([top, [[50.0, 20, 10], [25, 40, 9.0]]])
+        fit = evaluate(surface, Pose.identity(), points, np.full(len(points), 0.02), None, cut=0.5, floor=0.01)
+        assert (fit.weight > 0)[-2:].all()
+        known = uncertainty(
+            fit, points, None, np.zeros(len(points)), None, centre=np.array([25.0, 20, 11]), radius=33.0
+        )
+        assert len(known.loose) == 3
+        borders = known.loose_motions / 0.03
+        settled = uncertainty(
+            fit, points, None, np.zeros(len(points)), None, centre=np.array([25.0, 20, 11]), radius=33.0, held=borders
+        )
+        assert settled.loose == ()  # what its rim holds is held, grazing points or not
 
 
 class TestFiles:
@@ -204,6 +262,14 @@ class TestFiles:
 
 
 class TestSegmentation:
+    def test_rod_is_no_table(self) -> None:
+        """All that is seen of a thin rod lies within a hundredth of its length of a plane."""
+        rng = np.random.default_rng(0)
+        angle, along = rng.uniform(0.3, np.pi - 0.3, 6000), rng.uniform(-100, 100, 6000)
+        rod = np.column_stack([along, 2.5 * np.cos(angle), 400 - 2.5 * np.sin(angle)])
+        (found,) = clusters(ScanCloud.from_points(rod), 200.1, 1000.0, width=5.0)
+        assert len(found) > 5900
+
     def test_table_goes_and_parts_stay(self) -> None:
         rng = np.random.default_rng(0)
         table = np.column_stack([rng.uniform(-150, 150, (20_000, 2)), np.full(20_000, 430.0)])
@@ -265,6 +331,16 @@ def test_expected_surface_is_what_the_simulator_sees() -> None:
     assert wanted[facing & near].mean() > 0.8
 
 
+def test_sight_that_grazes_an_edge_blocks_nothing() -> None:
+    """Lines of sight along a wall, 0.05 mm inside it, are a matter of the pose; 1 mm inside it the part stands before them."""
+    block = parts.box_part(np.array([0.0, 0, 0]), np.array([50.0, 40, 22]))
+    points = np.array([[49.95, 20, 8], [49.0, 20, 8], [25, 20, 0], [25, 20, 22], [0.02, 39.98, 8]])
+    camera = points + np.array([0.0, 0, 300])
+    view = View(points, np.zeros((5, 3)), camera, None)
+    blocked = lines_blocked(Surface(block.vertices, block.faces), Pose.identity(), view, 0.7)
+    assert blocked.tolist() == [False, True, True, False, False]
+
+
 def evidence(points: np.ndarray, samples: np.ndarray) -> Evidence:
     return Evidence(Pose.identity(), points, samples, 1.0, 0.0, 1.0, 10)
 
@@ -304,7 +380,10 @@ def test_covariance_is_that_of_repeats() -> None:
     moves, claims = [], []
     for k in range(24):
         found = estimate_pose(
-            parts.scan(made, pose, np.random.default_rng(900 + k), scanner=scanner), casting(), initial=pose
+            parts.scan(made, pose, np.random.default_rng(900 + k), scanner=scanner),
+            casting(),
+            initial=pose,
+            options=PoseOptions(starts=64, candidates=2),
         )
         assert found.cloud_from_model is not None
         assert found.covariance is not None
