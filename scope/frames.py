@@ -14,7 +14,8 @@ from scope.capture import Capture
 from scope.images import Image, read_image
 
 T = TypeVar("T")
-AHEAD = 6  # frames held at once
+AHEAD = 20  # frames held at once, at most: while one run of frames is ranged, the threads go on with the next
+HELD = 256 << 20  # bytes of images held so, or four frames
 THREADS = 2
 
 
@@ -205,7 +206,12 @@ def open_source(capture: Capture) -> Source:
     return Folder(capture) if capture.images else Stream.open(capture)
 
 
-def in_order(source: Source, work: Callable[[Frame], T], *, first: int = 0) -> Iterator[T]:
+def ahead_of(image: Image | None) -> int:
+    """How many frames like this one are held at once."""
+    return AHEAD if image is None else max(4, min(AHEAD, HELD // max(1, image.nbytes)))
+
+
+def in_order(source: Source, work: Callable[[Frame], T], *, first: int = 0, ahead: int = AHEAD) -> Iterator[T]:
     """Results of ``work`` on every frame, in order; loading and work run ahead in threads, few frames are held."""
     with ThreadPoolExecutor(max_workers=THREADS) as pool:
         waiting: deque[Future[T | None]] = deque()
@@ -217,7 +223,7 @@ def in_order(source: Source, work: Callable[[Frame], T], *, first: int = 0) -> I
         try:
             for load in source.loaders(first):
                 waiting.append(pool.submit(job, load))
-                if len(waiting) >= AHEAD:
+                if len(waiting) >= ahead:
                     result = waiting.popleft().result()
                     if result is not None:
                         yield result

@@ -27,7 +27,7 @@ from ranging.triangulation import triangulate
 from scope.capture import Capture, read_capture
 from scope.cloud import ScanCloud, Sensors, quaternion_from_rotation
 from scope.filters import filtered
-from scope.frames import Frame, Source, in_order, open_source
+from scope.frames import Frame, Source, ahead_of, in_order, open_source
 from scope.images import Image, read_alike, shape_text
 from scope.lasers_agree import Agreement, agreements
 from scope.scan_setup import ScanOptions, channel_of, check_size, lasers_of, motion_of, told_apart
@@ -211,7 +211,7 @@ class Plan:
         window: list[_Sight] = []
         begun, stopped = first, False
         try:
-            for found in in_order(self.source, self._extract, first=at):
+            for found in in_order(self.source, self._extract, first=at, ahead=ahead_of(self.like)):
                 fresh.append(found)
                 done = at + len(window) + len(fresh)
                 if done > first:
