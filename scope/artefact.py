@@ -302,19 +302,29 @@ def _steps(cloud: ScanCloud, known: Artefact, tolerance: float | None, span: flo
     at = thin(points, 2 * spacing)
     facing = camera[at] if camera is not None else points[at] + 1e4 * towards
     normals = normals_of(points, points[at], facing, radius=5 * spacing)
-    found = fit_levels(points, points[at], normals, towards, np.array(known.heights), np.random.default_rng(0))
+    found = fit_levels(
+        points,
+        points[at],
+        normals,
+        towards,
+        np.array(known.heights),
+        np.random.default_rng(0),
+        sigma=cloud.sigma.astype(np.float64),
+    )
     shared = _shared(cloud, camera)
     along = np.ones(len(points)) if ray is None else ray @ found.normal
     bent = along * np.nan_to_num(cloud.sigma) * (1.0 - np.abs(along))
     levels = range(len(known.heights) + 1)
     moved = np.stack([(along[:, None] * shared)[found.level == k].mean(axis=0) for k in levels])
+    # what the sheet's shape leaves unexplained is part of sigma_cal and differs from place to place along the stripe
+    local = np.array([float(np.median((along * np.nan_to_num(cloud.sigma_cal))[found.level == k])) for k in levels])
     tilted = np.array([float(bent[found.level == k].mean()) for k in levels])
     sizes = []
     for k, nominal in enumerate(known.heights, start=1):
         scatter = found.covariance[k, k] + found.covariance[0, 0] - 2 * found.covariance[0, k]
         parts = (
             float(np.sqrt(max(scatter, 0.0))),
-            float(np.linalg.norm(moved[k] - moved[0])),
+            float(np.sqrt(np.sum((moved[k] - moved[0]) ** 2) + local[k] ** 2 + local[0] ** 2)),
             float(abs(tilted[k] - tilted[0])),
         )
         sizes.append(Size(f"step {nominal:g}", nominal, float(found.offset[k] - found.offset[0]), *parts))

@@ -222,6 +222,7 @@ def fit_levels(
     heights: Array,
     rng: np.random.Generator,
     *,
+    sigma: Array | None = None,
     trials: int = 600,
 ) -> Levels:
     """Parallel planes at about these heights (K - 1,) mm above a base, among points (N, 3) that may lie on none of them.
@@ -229,7 +230,7 @@ def fit_levels(
     ``seeds`` (M, 3) are some of the points, with their normals (M, 3) out of the surface, zero where unknown.
     Planes through three points, that a point's normal says may lie on one level, are tried as each of the levels; the one
     at whose comb of heights most points lie is refined: one normal and an offset a level, by least squares with the noise
-    cut off.
+    cut off; points less certain than most, by their ``sigma`` (N,) mm, weigh less.
 
     Raises
     ------
@@ -259,7 +260,11 @@ def fit_levels(
             count = sum(held) if min(held) > 0 else 0
             if count > best:
                 best, normal, base = count, trial, offset
-    found = _refined_levels(points, normal, base + levels, window)
+    weight = np.ones(len(points))
+    if sigma is not None and (known := np.isfinite(sigma) & (sigma > 0)).any():
+        usual = float(np.median(sigma[known]))
+        weight = np.where(known, usual / np.maximum(sigma, usual), 1.0)
+    found = _refined_levels(points, normal, base + levels, window, weight)
     measured = found.offset - found.offset[0]
     if (np.abs(measured - levels) > 2 * window).any():
         bad = int(np.argmax(np.abs(measured - levels)))
@@ -270,7 +275,7 @@ def fit_levels(
     return found
 
 
-def _refined_levels(points: Array, normal: Array, offset: Array, window: float) -> Levels:
+def _refined_levels(points: Array, normal: Array, offset: Array, window: float, weight: Array) -> Levels:
     limit = np.full(len(offset), window)
     level = np.zeros(len(points), dtype=np.int64)
     residual, covariance = np.zeros(len(points)), np.zeros((len(offset), len(offset)))
@@ -291,7 +296,8 @@ def _refined_levels(points: Array, normal: Array, offset: Array, window: float) 
         axes = np.linalg.svd(normal[None])[2][1:]
         centre = points[rows].mean(axis=0)
         j = np.concatenate([(points[rows] - centre) @ axes.T, -np.eye(len(offset))[level[rows]]], axis=1)
-        step = np.linalg.lstsq(j, -residual[rows], rcond=None)[0]
+        w = weight[rows]
+        step = np.linalg.lstsq(w[:, None] * j, -w * residual[rows], rcond=None)[0]
         local = offset - normal @ centre + step[2:]
         normal = _unit(normal + step[:2] @ axes)
         offset = local + normal @ centre
@@ -299,7 +305,7 @@ def _refined_levels(points: Array, normal: Array, offset: Array, window: float) 
             mine = residual[level == k]
             spread = 1.4826 * float(np.median(np.abs(mine - np.median(mine))))
             limit[k] = min(window, max(CUT * spread, 1e-6))
-        push = np.linalg.pinv(j)[2:] * (residual[rows] + j @ step)  # neighbours' errors may be alike
+        push = np.linalg.pinv(w[:, None] * j)[2:] * (w * (residual[rows] + j @ step))  # neighbours' errors may be alike
         patch = patches(points[rows], float(np.ptp(points[rows], axis=0).max()) / 40)
         pushes = np.stack([np.bincount(patch, weights=row) for row in push])
         covariance = pushes @ pushes.T * len(pushes.T) / max(len(pushes.T) - j.shape[1], 1)
