@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from calibration.compiled import cached
 from calibration.geometry import Array, Ints
 
 _SPAN = 3  # cells around one that predict it
@@ -67,7 +67,7 @@ def _predict(points: Array, where: Ints, i: int, j: int, basis: Array, skip: int
     return total
 
 
-_predict = numba.njit(cache=True, error_model="numpy")(_predict)
+_predict = cached(error_model="numpy")(_predict)
 
 
 def _grow(points: Array, start: Ints, basis: Array, reach: int, tolerance: float) -> Ints:
@@ -158,7 +158,7 @@ def _misfit(points: Array, cell: Ints, basis: Array, reach: int) -> Array:
 
 #: ``grow(points, start, basis, reach, tolerance) -> (N, 2)``: cells of the points from 0 to 2 reach, -1 where they are on
 #: no lattice, grown from those that ``start`` (N, 2) has.
-grow = numba.njit(cache=True, error_model="numpy")(_grow)
+grow = cached(error_model="numpy")(_grow)
 #: ``misfit(points, cell, basis, reach) -> (N, 3)``: distance of each point from where its neighbours predict it, in
 #: steps; the side of a square of the area of its cell, px; and the weight of the neighbours.
-misfit = numba.njit(cache=True, error_model="numpy")(_misfit)
+misfit = cached(error_model="numpy")(_misfit)

@@ -6,27 +6,15 @@ none of their rows. Importing this module loads numba.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
 
-import numba
 import numpy as np
 
+from calibration.compiled import compiled
 from calibration.geometry import Array
 
-Kernel = TypeVar("Kernel", bound=Callable[..., Any])
-
 _LANES = 64  # points side by side
-_FAST = {"contract", "reassoc", "nsz", "arcp"}  # never nnan: a NaN pixel gives NaN
-
-
-def _compiled(function: Kernel) -> Kernel:
-    """Compile without the interpreter lock, keeping the machine code on disk where a folder for it can be written."""
-    try:
-        return numba.njit(function, nogil=True, cache=True, fastmath=_FAST, error_model="numpy")  # type: ignore[no-any-return]
-    except RuntimeError:  # numba found no folder that it may write to
-        return numba.njit(function, nogil=True, fastmath=_FAST, error_model="numpy")  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +66,7 @@ class Series:
         return out, by_s, by_t
 
 
-@_compiled
+@compiled
 def _sum(table: Array, square: Array, out: Array, by_s: Array, by_t: Array, slopes: bool) -> None:
     """T_n = 2 x T_n-1 - T_n-2 and its derivative, point by point in lanes; terms that are zero cost nothing."""
     count, size, _ = table.shape

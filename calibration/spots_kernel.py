@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.compiled import cached
 from calibration.geometry import Array
 
 Image32 = NDArray[np.float32]
@@ -55,7 +55,7 @@ def _find(parent: Labels, i: int) -> int:
     return i
 
 
-_find = numba.njit(cache=True)(_find)
+_find = cached()(_find)
 
 
 def _components(mask: NDArray[np.uint8], least: int) -> tuple[Labels, Array]:
@@ -279,7 +279,7 @@ def _solve(m: Array, b: Array, inverse: Array) -> bool:
     return True
 
 
-_solve = numba.njit(cache=True, error_model="numpy")(_solve)
+_solve = cached(error_model="numpy")(_solve)
 
 
 def _dot(a: Array, b: Array, n: int) -> float:
@@ -290,7 +290,7 @@ def _dot(a: Array, b: Array, n: int) -> float:
 
 
 # sums may be reordered here, which lets them run several at a time
-_dot = numba.njit(cache=True, fastmath=True)(_dot)
+_dot = cached(fastmath=True)(_dot)
 
 
 def _edges(
@@ -402,10 +402,10 @@ def _edges(
 
 #: ``components(mask, least) -> labels, table``: the 8-connected components of at least ``least`` pixels, by runs and
 #: union-find; the label image holds 0 or row + 1 of the table of areas, bounds and sums.
-components = numba.njit(cache=True)(_components)
+components = cached()(_components)
 #: ``shapes(image, labels, table, clip) -> (K, 15)``: levels, grey moments, blur, noise and harmonics of components.
-shapes = numba.njit(cache=True, error_model="numpy")(_shapes)
+shapes = cached(error_model="numpy")(_shapes)
 #: ``edges(image, labels, owner, spots, noise, ragged, turns, cut) -> (K, 12)``: Gauss-Newton fit of centre, ellipse and
 #: blur to the pixels near the edge. Pixels are weighted by 1 / (noise + ragged * slope^2) and residuals beyond ``cut``
 #: standard deviations are cut to that; ``noise`` (K, 2) holds the variances of background and plateau.
-edges = numba.njit(cache=True, error_model="numpy")(_edges)
+edges = cached(error_model="numpy")(_edges)

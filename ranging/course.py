@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from calibration.compiled import compiled
 from calibration.geometry import Array
-from ranging.kernels import compiled
 
 REACH = 4  # lines to either side
 NEAR = 2  # the same beside a gap or jump

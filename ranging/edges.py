@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.compiled import compiled
 from calibration.geometry import Array, Bools, Codes
 from calibration.reason import Reason
 from ranging import surface
-from ranging.kernels import compiled
 from ranging.lattice import Lattice
 from ranging.slope import Slopes, footprint, slopes
 from ranging.spacetime import TAPS, Exposure, follow_points

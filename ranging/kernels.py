@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.compiled import compiled
+
 Pixels = NDArray[Any]  # (rows, columns) uint8 or uint16
-Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 COMB = 256  # px; a row is folded onto so many
 BLOCK = 16  # px; a line across the rows is folded into maxima of this many rows
-FAST = {"contract", "reassoc", "nsz", "arcp"}  # never nnan: NaN is an answer
-
-
-def compiled(function: Kernel) -> Kernel:
-    """Compile without the interpreter lock, keeping the machine code on disk where a folder for it can be written."""
-    try:
-        return numba.njit(function, nogil=True, cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[no-any-return]
-    except RuntimeError:  # numba found no folder that it may write to
-        return numba.njit(function, nogil=True, fastmath=FAST, error_model="numpy")  # type: ignore[no-any-return]
 
 
 @compiled

@@ -26,10 +26,10 @@ from functools import cache
 
 import numpy as np
 
+from calibration.compiled import compiled
 from calibration.geometry import Array, Bools, fit_plane
 from ranging import surface
 from ranging.course import follow
-from ranging.kernels import compiled
 from ranging.lattice import Lattice
 from ranging.spacetime import TAPS
 

@@ -19,9 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.compiled import compiled
 from calibration.geometry import Array, Bools, Ints, Pose
 from ranging.background import Image
-from ranging.kernels import Pixels, compiled
+from ranging.kernels import Pixels
 from ranging.lattice import Lattice
 
 REACH = 5  # frames before and after that a point is followed through

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from calibration.compiled import compiled
 from calibration.geometry import Array
-from ranging.kernels import Pixels, compiled
+from ranging.kernels import Pixels
 from ranging.stripe_table import FLOOR, GOOD, PEAK, POSITION, SIGMA, STATE, WIDTH, Layout
 
 HALF = 5  # px, least half window

@@ -18,8 +18,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.compiled import compiled
 from calibration.geometry import Array
-from ranging.kernels import Pixels, compiled
+from ranging.kernels import Pixels
 from ranging.stripe_table import (
     ASYMMETRY,
     ASYMMETRY_SIGMA,

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.compiled import compiled
 from calibration.geometry import Array, Codes
 from calibration.reason import Reason
-from ranging.kernels import Pixels, compiled
+from ranging.kernels import Pixels
 from ranging.stripe_table import (
     ASYMMETRY,
     ASYMMETRY_SIGMA,

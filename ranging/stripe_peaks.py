@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.compiled import compiled
 from calibration.geometry import Array
-from ranging.kernels import Pixels, compiled
+from ranging.kernels import Pixels
 from ranging.stripe_table import Layout
 
 MOST = 6  # peaks that are remembered on a line

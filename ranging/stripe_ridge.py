@@ -12,8 +12,9 @@ import math
 
 import numpy as np
 
+from calibration.compiled import compiled
 from calibration.geometry import Array
-from ranging.kernels import Pixels, compiled
+from ranging.kernels import Pixels
 from ranging.stripe_table import DIVERGED, GOOD, PEAK, POSITION, SIGMA, STATE, Layout
 
 STEEPEST = 0.25  # least share of the normal that lies across the line: a stripe within 14 degrees of the line has none

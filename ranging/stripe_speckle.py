@@ -19,9 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.compiled import compiled
 from calibration.geometry import Array
 from ranging.background import Noise
-from ranging.kernels import Pixels, compiled
+from ranging.kernels import Pixels
 from ranging.stripe_gaussian import FAR, LONGEST
 from ranging.stripe_table import FLOOR, GOOD, PEAK, POSITION, SIGMA, STATE, WIDTH, Layout
 

@@ -14,8 +14,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from calibration.compiled import compiled
 from calibration.geometry import Array, Bools
-from ranging.kernels import compiled
 
 Vector: TypeAlias = tuple[float, float, float]
 Row: TypeAlias = Any  # one point of an array

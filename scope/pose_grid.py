@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from calibration.compiled import cached
 from calibration.geometry import Array
 
 Field = NDArray[np.float32]
@@ -89,8 +90,10 @@ def hidden(full: NDArray[np.bool_], low: Array, voxel: float, start: Array, end:
     return found
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
-def _trilinear(values, origin, scale, x, y, z):  # type: ignore[no-untyped-def]
+@cached(nogil=True, fastmath=True, inline="always")
+def _trilinear(
+    values: Field, origin: Array, scale: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
     fx, fy, fz = (x - origin[0]) * scale, (y - origin[1]) * scale, (z - origin[2]) * scale
     cx = min(max(fx, 0.0), values.shape[0] - 1.001)
     cy = min(max(fy, 0.0), values.shape[1] - 1.001)
@@ -119,16 +122,18 @@ def _trilinear(values, origin, scale, x, y, z):  # type: ignore[no-untyped-def]
     return d, gx, gy, gz
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _look_up(values, origin, scale, points, distance, gradient):  # type: ignore[no-untyped-def]
+@cached(nogil=True, fastmath=True)
+def _look_up(values: Field, origin: Array, scale: float, points: Array, distance: Array, gradient: Array) -> None:
     for i in range(len(points)):
         d, gx, gy, gz = _trilinear(values, origin, scale, points[i, 0], points[i, 1], points[i, 2])
         distance[i] = d
         gradient[i, 0], gradient[i, 1], gradient[i, 2] = gx, gy, gz
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _passes(values, origin, scale, start, end, depth, clear, free):  # type: ignore[no-untyped-def]
+@cached(nogil=True, fastmath=True)
+def _passes(
+    values: Field, origin: Array, scale: float, start: Array, end: Array, depth: Any, clear: Any, free: Any
+) -> None:
     least = 0.5 / scale
     for i in range(len(start)):
         x, y, z = start[i, 0], start[i, 1], start[i, 2]
@@ -156,8 +161,8 @@ def _passes(values, origin, scale, start, end, depth, clear, free):  # type: ign
             s += max(abs(d + depth), least)
 
 
-@njit(cache=True, nogil=True)
-def _hidden(full, low, voxel, start, end, found):  # type: ignore[no-untyped-def]
+@cached(nogil=True)
+def _hidden(full: Any, low: Array, voxel: float, start: Array, end: Array, found: Any) -> None:
     for i in range(len(start)):
         near, far = 3.0 * voxel, 0.0
         for a in range(3):
@@ -183,8 +188,8 @@ def _hidden(full, low, voxel, start, end, found):  # type: ignore[no-untyped-def
             s += 0.7 * voxel
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _step(h, g, damping, x):  # type: ignore[no-untyped-def]
+@cached(nogil=True, fastmath=True)
+def _step(h: Array, g: Array, damping: float, x: Array) -> None:
     """Solve (h + damping) x = -g by Cholesky; h is overwritten."""
     for i in range(6):
         h[i, i] += damping * h[i, i] + 1e-9
@@ -208,8 +213,11 @@ def _step(h, g, damping, x):  # type: ignore[no-untyped-def]
         x[i] = s / h[i, i]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _align(values, origin, scale, points, normals, rotation, translation, reach, cost):  # type: ignore[no-untyped-def]
+@cached(nogil=True, fastmath=True)
+def _align(
+    values: Field, origin: Array, scale: float, points: Array, normals: Any, rotation: Array, translation: Array,
+    reach: Array, cost: Array,
+) -> None:  # fmt: skip
     n, steps = len(points), len(reach)
     h, g, x, j6 = np.empty((6, 6)), np.empty(6), np.zeros(6), np.empty(6)
     turn, old = np.empty((3, 3)), np.empty((3, 3))
