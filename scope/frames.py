@@ -206,9 +206,9 @@ def open_source(capture: Capture) -> Source:
     return Folder(capture) if capture.images else Stream.open(capture)
 
 
-def ahead_of(image: Image | None) -> int:
-    """How many frames like this one are held at once."""
-    return AHEAD if image is None else max(4, min(AHEAD, HELD // max(1, image.nbytes)))
+def held_of(image: Image | None, most: int) -> int:
+    """How many frames like this one are held at once: ``most`` of them, fewer of large ones."""
+    return most if image is None else max(4, min(most, HELD // max(1, image.nbytes)))
 
 
 def in_order(source: Source, work: Callable[[Frame], T], *, first: int = 0, ahead: int = AHEAD) -> Iterator[T]:

@@ -27,13 +27,13 @@ from ranging.triangulation import triangulate
 from scope.capture import Capture, read_capture
 from scope.cloud import ScanCloud, Sensors, quaternion_from_rotation
 from scope.filters import filtered
-from scope.frames import Frame, Source, ahead_of, in_order, open_source
+from scope.frames import AHEAD, Frame, Source, held_of, in_order, open_source
 from scope.images import Image, read_alike, shape_text
 from scope.lasers_agree import Agreement, agreements
 from scope.scan_setup import ScanOptions, channel_of, check_size, lasers_of, motion_of, told_apart
 from scope.tally import Chunk, Footprint, Scan, Tally
 
-CHUNK = 24  # frames ranged at once
+CHUNK = 24  # frames ranged at once; fewer where they are large
 FIRST = 2  # the same, of the first, so that points are seen at once
 CROSSING = 4.0  # widths (one sigma) of both stripes between their middles, within which they disturb each other
 SAMPLE = 3  # frames that tell the channel and the noise of the camera
@@ -210,13 +210,14 @@ class Plan:
         fresh: list[tuple[int, list[_Taken]]] = []
         window: list[_Sight] = []
         begun, stopped = first, False
+        run = held_of(self.like, CHUNK)
         try:
-            for found in in_order(self.source, self._extract, first=at, ahead=ahead_of(self.like)):
+            for found in in_order(self.source, self._extract, first=at, ahead=held_of(self.like, AHEAD)):
                 fresh.append(found)
                 done = at + len(window) + len(fresh)
                 if done > first:
                     on_frame(done, total)
-                end = begun + (CHUNK if begun else FIRST)
+                end = begun + (run if begun else FIRST)
                 if done == end + CONTEXT:
                     window, fresh = window + self._see(fresh), []
                     yield self._chunk(window, at, begun, end)
@@ -228,7 +229,7 @@ class Plan:
             stopped = True
         window = window + self._see(fresh)
         while begun < at + len(window):
-            end = min(begun + (CHUNK if begun else FIRST), at + len(window))
+            end = min(begun + (run if begun else FIRST), at + len(window))
             yield replace(self._chunk(window, at, begun, end), settled=False)
             begun = end
         if stopped:

@@ -155,3 +155,13 @@ def test_running_median_is_the_median() -> None:
     for part in np.array_split(values, 7):
         median.add(np.r_[part, np.float32(np.nan)])
     assert median.value == pytest.approx(float(np.median(values)), rel=1e-3)
+
+
+def test_fewer_frames_are_held_of_large_images() -> None:
+    from scope.frames import AHEAD, HELD, held_of
+
+    assert held_of(np.zeros((480, 640), np.uint8), AHEAD) == AHEAD
+    assert held_of(None, AHEAD) == AHEAD
+    large = np.broadcast_to(np.uint16(0), (4096, 5120))  # 42 MB, of which none is taken here
+    assert held_of(large, AHEAD) * large.nbytes <= HELD
+    assert held_of(np.broadcast_to(np.uint16(0), (20000, 20000)), AHEAD) == 4
