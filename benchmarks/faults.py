@@ -85,7 +85,7 @@ def drawn(
     }
     seed = int(rng.integers(2**62))
     clean = session(np.random.default_rng(seed), **look)
-    test = redundancy_of(clean, fit_ray_field(clean, orders=(3, 1)).field)
+    test = redundancy_of(clean, fit_ray_field(clean).field)
     evidence = Evidence.of(test.score, test.information)
     planes = rng.permutation(len(clean))[: len(kinds)]
     truths, poses, scales = [], {}, {}
@@ -109,7 +109,7 @@ def recognise(
         for _ in range(draws):
             kinds = (kind, str(rng.choice(KINDS))) if two else (kind,)
             planes, truths = drawn(rng, views, kinds)
-            found = find_faults(planes)
+            found = find_faults(planes, field=fit_ray_field(planes).field)  # as the program does
             names = {planes[t.plane].name for t in truths}
             want = {(planes[t.plane].name, _class(t.kind)) for t in truths}
             got = {(f.plane, _class(f.kind)) for f in found}
