@@ -75,7 +75,9 @@ class Rig:
         try:
             content = json.loads(data)
         except (ValueError, RecursionError) as error:
-            raise FileError(f"{path}: is no JSON ({str(error)[:80]}); calibrate again") from error
+            raise FileError(
+                f"{path}: is no JSON ({str(error)[:80]}); give the rig.json of scope calibrate; if it is that, calibrate again"
+            ) from error
         if not isinstance(content, dict) or content.get("kind") != "scope rig":
             raise FileError(f"{path}: is no rig; give the rig.json of scope calibrate")
         if content.get("format") != FORMAT:
