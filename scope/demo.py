@@ -251,8 +251,11 @@ def _pose(found: Scan, truth: dict[str, Any], out: Path) -> list[Deviation]:
         return [Deviation("pose of the bracket: none", float("nan"), 0.0, "mm", answer.why)]
     gap = true.inverse @ answer.cloud_from_model
     turn = float(np.degrees(np.arccos(np.clip((np.trace(gap.rotation) - 1) / 2, -1, 1))))
+    claimed = "" if answer.covariance is None else f" (sigma {np.sqrt(np.trace(answer.covariance[:3, :3])):.3f} mm)"
     return [
-        Deviation("pose of the bracket, position", float(np.linalg.norm(gap.translation)), 0.0, "mm", "distance"),
+        Deviation(
+            f"pose of the bracket, position{claimed}", float(np.linalg.norm(gap.translation)), 0.0, "mm", answer.why
+        ),
         Deviation("pose of the bracket, orientation", turn, 0.0, "deg"),
     ]
 
