@@ -95,8 +95,7 @@ def piv() -> None:
 
 
 def _outer_two(found: Calibration) -> list[float]:
-    from calibration.plane_map import rms
-    from calibration.two_plane import fit_two_plane
+    from calibration.rays import fit_two_plane, rms
 
     if found.two_plane is None:
         return []

@@ -20,13 +20,11 @@ import numpy as np
 
 from benchmarks.rays import SIZE, OpenCv, camera, session
 from benchmarks.shared import SHARED, head, require, row
-from calibration.analysis import interplane
 from calibration.geometry import Array
-from calibration.held_out import held_out, ray_uncertainty
-from calibration.plane_map import PlaneMarks, fit_plane_map, normal_equations
-from calibration.ray_field import fit_ray_field
-from calibration.two_plane import fit_two_plane, with_model
-from scope.optics import Window
+from calibration.rays import PlaneMarks, fit_plane_map, fit_ray_field, fit_two_plane, normal_equations, ray_uncertainty
+from calibration.rays.two_plane import with_model
+from calibration.verification import held_out, interplane
+from scope.simulation.optics import Window
 
 DRAWS = 600
 GRID = (9, 12)
@@ -34,8 +32,8 @@ MODELS: tuple[Literal["joint", "two-plane"], ...] = ("joint", "two-plane")
 
 
 def _seen(name: str) -> list[PlaneMarks]:
-    from scope.calibration_file import read_calibration
-    from scope.find_marks import see_plane
+    from scope.calibrating.marks import see_plane
+    from scope.session import read_calibration
 
     plan = read_calibration(require(name) / "calibration.toml")
     return [see_plane(plan, plane).marks for plane in plan.planes]
@@ -170,7 +168,7 @@ laser_images = 1
 def speed() -> None:
     """Calibration of 5 planes x 4 images of 475 spots over decoding the images."""
     from scope.calibrating import calibrate
-    from scope.simulation import read_design, simulate
+    from scope.simulation.session import read_design, simulate
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import ncx2
 
-from calibration.spots import Method, find_spots
+from calibration.targets import find_spots
+from calibration.targets.spots import Method
 
 Array = NDArray[np.float64]
 GROUND, CONTRAST = 20.0, 180.0  # grey levels

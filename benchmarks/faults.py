@@ -14,12 +14,11 @@ import numpy as np
 
 from benchmarks.sessions import FIVE, FOUR, SEVEN, misplacement, session
 from benchmarks.shared import head, require, row
-from calibration.faults import Fault, Lattice, find_faults
-from calibration.faults_search import MODES_OF, Evidence, Hypothesis
 from calibration.geometry import Pose
-from calibration.plane_map import PlaneMarks
-from calibration.ray_field import fit_ray_field
-from calibration.redundancy import redundancy_of
+from calibration.rays import PlaneMarks, fit_ray_field
+from calibration.verification import Fault, Lattice, find_faults
+from calibration.verification.hypotheses import MODES_OF, Evidence, Hypothesis
+from calibration.verification.redundancy import redundancy_of
 
 KINDS = tuple(MODES_OF)
 CLASS = {"pitch": "stand_off"}  # of one plane, alike up to a slip
@@ -179,8 +178,8 @@ def errors(draws: int) -> None:
 
 
 def _seen(name: str) -> list[PlaneMarks]:
-    from scope.calibration_file import read_calibration
-    from scope.find_marks import see_plane
+    from scope.calibrating.marks import see_plane
+    from scope.session import read_calibration
 
     plan = read_calibration(require(name) / "calibration.toml")
     return [see_plane(plan, plane).marks for plane in plan.planes]

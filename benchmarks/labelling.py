@@ -5,7 +5,7 @@ and fiducials from a random pose: any rotation, tilts to 45 degrees, as it is or
 the image. Up to 30 % of the spots are missing, some spots are dirt, centroids and diameters are noisy. A set is wrong
 as soon as one spot carries a label that is not its own, or is called mirrored when it is not; a refusal is not wrong.
 
-The rendered views go the whole way, from an image of the simulator (`scope.simulation`) to labels: light or dark spots,
+The rendered views go the whole way, from an image of the simulator (`scope.simulation.session`) to labels: light or dark spots,
 uneven light, dirt, any rotation, tilts to 45 degrees, mirrored or not, up to 30 % of the spots missing.
 """
 
@@ -20,12 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import CalibrationError
-from calibration.grid import label_grid
-from calibration.spots import Spots, find_spots
-from calibration.targets import SpotGrid
-from scope.optics import project as exact_project
-from scope.rig_design import CameraDesign, FaultDesign, JigDesign, LaserDesign, RigDesign
-from scope.virtual_rig import VirtualRig
+from calibration.targets import SpotGrid, find_spots, label_grid
+from calibration.targets.spots import Spots
+from scope.simulation.optics import project as exact_project
+from scope.simulation.rig_design import CameraDesign, FaultDesign, JigDesign, LaserDesign, RigDesign
+from scope.simulation.virtual_rig import VirtualRig
 
 Array = NDArray[np.float64]
 SIZE = (1280, 960)

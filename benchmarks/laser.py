@@ -7,9 +7,8 @@ import numpy as np
 
 from benchmarks.shared import head, row
 from calibration.geometry import Array, Plane, Pose
-from calibration.laser import StripePoints, fit_laser
-from calibration.pinhole import fit_freehand
-from calibration.plane_map import PlaneMarks
+from calibration.rays import PlaneMarks, fit_freehand
+from calibration.sheet import StripePoints, fit_laser
 
 SIZE = (1280, 960)
 MATRIX = np.array([[1400.0, 0, 655.0], [0, 1400.0, 470.0], [0, 0, 1]])

@@ -27,10 +27,11 @@ from benchmarks import parts
 from calibration.geometry import Array, Pose
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
+from scope.model import Model, Surface, angle_between
+from scope.model.model import prepare_model
 from scope.optional import import_open3d
-from scope.pose import PoseOptions, estimate_pose
-from scope.pose_model import Model, angle_between, prepare_model
-from scope.pose_surface import Surface
+from scope.pose import estimate_pose
+from scope.pose.estimate import PoseOptions
 
 PARTS = {"bracket": parts.bracket, "plate": parts.plate, "casting": parts.casting}
 SEED = 120_000

@@ -18,8 +18,7 @@ from calibration.geometry import Array
 from scope import simulation
 from scope.calibrating import calibrate
 from scope.cloud import ScanCloud
-from scope.scan_setup import scan_options
-from scope.scanning import run_scan
+from scope.scanning import run_scan, scan_options
 
 SHARED = Path("../shared/data")
 DESIGN = """format = 1

@@ -1,6 +1,6 @@
 """Sighting rays against the exact camera, with and without a window: python -m benchmarks.rays.
 
-Marks of five planes are projected by the independent witness (`scope.optics`), noise is added, and the rays of SCOPE and
+Marks of five planes are projected by the independent witness (`scope.simulation.optics`), noise is added, and the rays of SCOPE and
 of OpenCV's calibrateCamera, fed the same 3-D points, are compared with the exact rays at depths between the planes.
 """
 
@@ -13,9 +13,8 @@ import numpy as np
 
 from benchmarks.shared import head, row
 from calibration.geometry import Array, Pose, Rays
-from calibration.plane_map import PlaneMarks
-from calibration.two_plane import fit_two_plane
-from scope.optics import ExactCamera, Window, exact_rays, project
+from calibration.rays import PlaneMarks, fit_two_plane
+from scope.simulation.optics import ExactCamera, Window, exact_rays, project
 
 SIZE = (1280, 960)
 STAND_OFFS = (320.0, 360.0, 400.0, 440.0, 480.0)
@@ -147,7 +146,7 @@ def main() -> None:
 
 
 def _held_out_px(marks: list[PlaneMarks]) -> float:
-    from calibration.held_out import held_out
+    from calibration.verification import held_out
 
     out = held_out(fit_two_plane(marks, SIZE))
     return float(np.sqrt(np.mean([h.rms_px**2 for h in out if h.between])))

@@ -14,12 +14,11 @@ import numpy as np
 from scipy.special import ndtri
 
 from benchmarks.roughness_surfaces import PITCH, Array, four_surfaces, random_surface, scan_of
-from scope.heightmap import HeightMap
-from scope.heightmap_form import remove_form
-from scope.roughness import RoughnessOptions, measure_heights, measure_roughness
-from scope.roughness_abbott import AbbottCurve, core_parameters, volume_parameters
-from scope.roughness_areal import height_parameters
-from scope.roughness_estimate import raw_parameters
+from scope.heightmap import HeightMap, remove_form
+from scope.roughness import AbbottCurve, RoughnessOptions, measure_heights, measure_roughness
+from scope.roughness.abbott import core_parameters, volume_parameters
+from scope.roughness.areal import height_parameters
+from scope.roughness.estimate import raw_parameters
 
 SIZE = 1000
 COUPONS = 6

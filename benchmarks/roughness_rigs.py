@@ -20,7 +20,7 @@ from scope.calibrating import calibrate
 from scope.cloud import ScanCloud
 from scope.roughness import measure_roughness
 from scope.scanning import scan
-from scope.simulation import read_design, simulate
+from scope.simulation.session import read_design, simulate
 
 # name: camera, laser and jig; coupons: x, y, z, side, Sq, correlation (mm), tilt (degrees); base; motion
 RIGS: dict[str, tuple[str, list[tuple[float, ...]], float, str]] = {

@@ -12,7 +12,7 @@ import time
 import numpy as np
 
 from benchmarks.roughness_surfaces import PITCH, four_surfaces
-from scope.roughness_estimate import raw_parameters
+from scope.roughness.estimate import raw_parameters
 
 KEYS = (
     "Sa", "Sq", "Ssk", "Sku", "Sp", "Sv", "Sz", "Sdq", "Sdr", "Sal", "Str", "Std", "Sk", "Spk", "Svk", "Smr1", "Smr2",

@@ -19,11 +19,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from scope import frames
 from scope.calibrating import calibrate
-from scope.rig_design import CameraDesign, JigDesign, LaserDesign, MotionDesign, PlaneDesign, RigDesign, SphereDesign
 from scope.scanning import run_scan
-from scope.simulation import simulate
+from scope.session import frames
+from scope.simulation.rig_design import (
+    CameraDesign,
+    JigDesign,
+    LaserDesign,
+    MotionDesign,
+    PlaneDesign,
+    RigDesign,
+    SphereDesign,
+)
+from scope.simulation.session import simulate
 
 RENDERED = 32
 STEP = 0.4  # mm

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from calibration.geometry import Array, Pose
-from calibration.plane_map import PlaneMarks
+from calibration.rays import PlaneMarks
 
 SIZE = (1280, 960)
 FOUR = (320.0, 373.0, 427.0, 480.0)

@@ -72,7 +72,7 @@ def start_up() -> None:
         return time.perf_counter() - start
 
     base = "import numpy as np, cv2\nim = np.zeros((64, 64), np.uint8); im[:, 30:35] = [20, 80, 120, 70, 15]\n"
-    work = "from ranging.stripe import extract\nextract(im, along='columns')\n"
+    work = "from ranging.stripe.extraction import extract\nextract(im, along='columns')\n"
     wall(base + work)
     with_work, without = (min(wall(code) for _ in range(5)) for code in (base + work, base))
     print(

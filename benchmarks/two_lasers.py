@@ -16,9 +16,17 @@ import cv2
 import numpy as np
 
 from scope.calibrating import calibrate
-from scope.rig_design import CameraDesign, JigDesign, LaserDesign, MotionDesign, PlaneDesign, RigDesign, SphereDesign
 from scope.scanning import run_scan
-from scope.simulation import simulate
+from scope.simulation.rig_design import (
+    CameraDesign,
+    JigDesign,
+    LaserDesign,
+    MotionDesign,
+    PlaneDesign,
+    RigDesign,
+    SphereDesign,
+)
+from scope.simulation.session import simulate
 
 BLEED = 0.08  # of a line's light in the other colour's pixels
 NAMES = ("red", "green")

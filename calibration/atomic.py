@@ -48,11 +48,14 @@ def write_text(path: Path, text: str) -> None:
         stream.write(text.encode("utf-8"))
 
 
-def require_folder(path: Path) -> None:
-    """``FileError`` unless the folder that is to hold ``path`` exists, before any work is done for it."""
-    if not path.parent.is_dir():
-        raise FileError(f"{path}: its folder {path.parent} does not exist; create it or choose another place")
-    if path.is_dir():
-        raise FileError(f"{path}: is a folder; name a file in it")
-    if not os.access(path.parent, os.W_OK):
-        raise FileError(f"{path}: its folder {path.parent} cannot be written; choose a folder you may write to")
+def require_folder(*paths: Path | None) -> None:
+    """``FileError`` unless the folders that are to hold these files exist, before any work is done for them; None asks for nothing."""
+    for path in paths:
+        if path is None:
+            continue
+        if not path.parent.is_dir():
+            raise FileError(f"{path}: its folder {path.parent} does not exist; create it or choose another place")
+        if path.is_dir():
+            raise FileError(f"{path}: is a folder; name a file in it")
+        if not os.access(path.parent, os.W_OK):
+            raise FileError(f"{path}: its folder {path.parent} cannot be written; choose a folder you may write to")

@@ -61,3 +61,14 @@ def centre_of(rays: Rays) -> Array:
     matrix, rhs = across.sum(axis=0), np.einsum("nij,nj->i", across, o)
     middle = o.mean(axis=0)
     return np.asarray(middle + np.linalg.lstsq(matrix, rhs - matrix @ middle, rcond=1e-9)[0])
+
+
+GRID = (48, 64)  # rows and columns of the pixels that pictures of the whole image sample
+
+
+def pixel_grid(size: tuple[int, int], grid: tuple[int, int]) -> Array:
+    """Pixels (R, C, 2) at the centres of R x C equal blocks of an image of ``size`` (width, height) px."""
+    rows, columns = grid
+    u = (np.arange(columns) + 0.5) * size[0] / columns - 0.5
+    v = (np.arange(rows) + 0.5) * size[1] / rows - 0.5
+    return np.stack(np.meshgrid(u, v), axis=-1)

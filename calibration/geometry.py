@@ -175,3 +175,30 @@ def fit_plane(points: Array, *, weights: Array | None = None) -> Plane:
         raise ValueError("the points lie on one line")
     normal = directions[2]
     return Plane.through(centre, normal * np.sign(normal[int(np.argmax(np.abs(normal)))]))
+
+
+def rotation_from_quaternion(q: Array) -> Array:
+    """Rotation matrix (3, 3) of a quaternion (4,) w x y z, which is normalised first."""
+    w, x, y, z = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_rotation(rotation: Array) -> Array:
+    """Quaternion (4,) w x y z, w >= 0, of a rotation matrix: the dominant eigenvector (Bar-Itzhack 2000)."""
+    r = rotation
+    k = np.array(
+        [
+            [r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
+            [0.0, r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2]],
+            [0.0, 0.0, r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2]],
+            [0.0, 0.0, 0.0, r[2, 2] - r[0, 0] - r[1, 1]],
+        ]
+    )
+    q = np.linalg.eigh(k + np.triu(k, 1).T)[1][:, -1]
+    return np.asarray(q if q[0] >= 0 else -q)

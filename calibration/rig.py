@@ -14,14 +14,9 @@ import numpy as np
 from calibration.atomic import write_text
 from calibration.errors import FileError
 from calibration.geometry import Array, Plane, Pose
-from calibration.laser import Laser, PlaneOfLight
-from calibration.pinhole import PinholeCamera
-from calibration.plane_map import PlaneMap
-from calibration.polynomial import Domain, exponents
-from calibration.ray_field import RayField
-from calibration.sheet import CurvedSheet, Sheet, SheetFrame, order_of
-from calibration.stage import Stage
-from calibration.two_plane import TwoPlaneCamera
+from calibration.rays import Domain, PinholeCamera, PlaneMap, RayField, TwoPlaneCamera, exponents
+from calibration.sheet import CurvedSheet, Laser, PlaneOfLight, Sheet, SheetFrame, order_of
+from calibration.stages import Stage
 from calibration.volume import Volume
 
 FORMAT = 1

@@ -53,16 +53,17 @@ def verify(
     quiet: Quiet = False,
 ) -> None:
     """Repeat what the rig says of its verification, or test it on images it has not seen."""
-    from calibration.atomic import write_text
-    from scope import pipeline
+    from calibration.atomic import require_folder, write_text
+    from scope import verify as verify_rig
+    from scope.report import verification_page, verification_text
 
     with user_errors():
-        pipeline.require_writable(report)
-        result = pipeline.verify(rig, other)
+        require_folder(report)
+        result = verify_rig(rig, other)
         if report is not None:
-            write_text(report, pipeline.verification_page(result))
+            write_text(report, verification_page(result))
             say(f"wrote {report}", quiet=quiet)
-    emit(result, as_json=as_json, text=pipeline.verification_text(result))
+    emit(result, as_json=as_json, text=verification_text(result))
     if not result["passed"]:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
 
@@ -70,38 +71,40 @@ def verify(
 def _calibrate(
     file: Path, out: Path, model: Model, order: str, report: Path | None, *, as_json: bool, quiet: bool
 ) -> None:
-    from calibration.atomic import write_text
-    from scope import pipeline
+    from calibration.atomic import require_folder, write_text
+    from scope import calibrate as calibrate_rig
+    from scope.report import calibration_page, calibration_text
 
-    pipeline.require_writable(out, report)
+    require_folder(out, report)
     with progress("finding marks", quiet=quiet) as tick:
-        found = pipeline.calibrate(file, model=model, order=_order(order), on_plane=tick)
+        found = calibrate_rig(file, model=model, order=_order(order), on_plane=tick)
     found.rig.save(out)
     say(f"wrote {out}", quiet=quiet)
     if report is not None:
-        write_text(report, pipeline.calibration_page(found))
+        write_text(report, calibration_page(found))
         say(f"wrote {report}", quiet=quiet)
-    emit(found.result, as_json=as_json, text=pipeline.calibration_text(found))
+    emit(found.result, as_json=as_json, text=calibration_text(found))
     if not found.rig.verification.passed:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
 
 
 def _check(file: Path, plane: str, *, as_json: bool) -> None:
-    from scope import pipeline
+    from scope.calibrating import check_plane
+    from scope.report import check_text
 
-    result = pipeline.check_plane(file, plane)
-    emit(result, as_json=as_json, text=pipeline.check_text(result))
+    result = check_plane(file, plane)
+    emit(result, as_json=as_json, text=check_text(result))
     if result["remedy"]:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
 
 
 def _init(file: Path, *, quiet: bool) -> None:
-    from scope import pipeline
+    from scope.session import TEMPLATES, write_template
 
     # `--init chessboard` leaves the kind where the file would be
-    kind = str(file) if str(file) in pipeline.TEMPLATES else "spots"
-    path = Path("calibration.toml") if str(file) in pipeline.TEMPLATES else file
-    pipeline.write_template(path, kind)
+    kind = str(file) if str(file) in TEMPLATES else "spots"
+    path = Path("calibration.toml") if str(file) in TEMPLATES else file
+    write_template(path, kind)
     say(f"wrote {path}: fill it in, then run: scope calibrate {path}", quiet=quiet)
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, say, user_errors
-from scope.region import Region
+
+if TYPE_CHECKING:
+    from scope.cloud import Region
 
 Where = Annotated[
     str | None, typer.Option("--region", help="box:x0,x1,y0,y1[,z0,z1], polygon:file or mesh:file; mm, cloud frame.")
@@ -46,29 +48,27 @@ def pose(
 ) -> None:
     """Find a known part in a scan: position, orientation and how sure they are; exit 3 where the answer is not sure."""
     from calibration.atomic import require_folder, write_text
-    from scope import locating
     from scope.cloud import ScanCloud
-    from scope.pose import estimate_pose
+    from scope.pose import estimate_pose, frame_of, place, pose_result, pose_text, read_transform, write_deviation
+    from scope.report import pose_html
 
     with user_errors():
-        for path in (deviation, report):
-            if path is not None:
-                require_folder(path)
-        started = None if init is None else locating.read_transform(init)
-        robot = None if robot_from_camera is None else locating.read_transform(robot_from_camera)
+        require_folder(deviation, report)
+        started = None if init is None else read_transform(init)
+        robot = None if robot_from_camera is None else read_transform(robot_from_camera)
         scan = ScanCloud.load(cloud)
         with _usage():
             within = _region(region)
-            locating.frame_of(scan, at)
+            frame_of(scan, at)
         result = estimate_pose(scan, model, region=within, initial=started)
-        placed = locating.place(scan, result, at, robot)
+        placed = place(scan, result, at, robot)
         if deviation is not None:
-            locating.write_deviation(deviation, scan, result)
+            write_deviation(deviation, scan, result)
             say(f"wrote {deviation}", quiet=quiet)
         if report is not None:
-            write_text(report, locating.pose_html(scan, placed))
+            write_text(report, pose_html(scan, placed))
             say(f"wrote {report}", quiet=quiet)
-    emit(locating.pose_result(placed), as_json=as_json, text=locating.pose_text(placed))
+    emit(pose_result(placed), as_json=as_json, text=pose_text(placed))
     if not result.found:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
 
@@ -84,8 +84,16 @@ def check(
     quiet: Quiet = False,
 ) -> None:
     """Compare scans of something known with what is known of it; exit 3 where it is out of tolerance."""
-    from scope import locating
-    from scope.artefact import Artefact, ArtefactCheck, check_artefact, check_repeats
+    from scope.check import (
+        Artefact,
+        ArtefactCheck,
+        check_artefact,
+        check_repeats,
+        check_result,
+        check_text,
+        out_of_tolerance,
+        repeat_result,
+    )
     from scope.cloud import ScanCloud
 
     with user_errors():
@@ -97,16 +105,14 @@ def check(
         scans = [ScanCloud.load(path) for path in clouds]
         if len(scans) == 1:
             checks: tuple[ArtefactCheck, ...] = (check_artefact(scans[0], known, tolerance=tolerance, region=within),)
-            told, text = locating.check_result(checks[0]), locating.check_text(checks[0])
+            told, text = check_result(checks[0]), check_text(checks[0])
         else:
             repeat = check_repeats(scans, known, tolerance=tolerance, region=within)
             checks = repeat.checks
-            told = locating.repeat_result(repeat)
-            text = "\n".join(
-                [*(locating.check_text(c) for c in checks), f"repeatability {repeat.worst_mm:.4f} mm (one sigma)"]
-            )
+            told = repeat_result(repeat)
+            text = "\n".join([*(check_text(c) for c in checks), f"repeatability {repeat.worst_mm:.4f} mm (one sigma)"])
     emit(told, as_json=as_json, text=text)
-    if locating.out_of_tolerance(checks):
+    if out_of_tolerance(checks):
         say("do not rely on this scanner before it is calibrated again", quiet=quiet)
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
 
@@ -121,6 +127,6 @@ def _usage() -> Iterator[None]:
 
 
 def _region(text: str | None) -> Region | None:
-    from scope.region_text import parse_region
+    from scope.cloud import parse_region
 
     return None if text is None else parse_region(text)[1]

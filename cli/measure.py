@@ -62,15 +62,13 @@ def roughness(
     Lengths are mm. Exit 3: a patch's Sq is withheld or mostly uncertain.
     """
     from calibration.atomic import require_folder, write_text
-    from scope.locating import read_transform
-    from scope.region_text import parse_region, require_names
-    from scope.roughness_report import roughness_csv, roughness_page, roughness_text
-    from scope.roughness_run import options_from_text, run_roughness
+    from scope.cloud import parse_region, require_names
+    from scope.pose import read_transform
+    from scope.report import roughness_csv, roughness_page, roughness_text
+    from scope.roughness import options_from_text, run_roughness
 
     with user_errors():
-        for path in (table, report):
-            if path is not None:
-                require_folder(path)
+        require_folder(table, report)
         placed = None if pose is None else read_transform(pose)
         try:
             regions = [parse_region(text, cloud_from_model=placed) for text in region or []]

@@ -58,25 +58,22 @@ def scan(
 ) -> None:
     """Range every stripe image of a capture and write one point cloud."""
     from calibration.atomic import require_folder, write_text
-    from scope.scan_file import scan_to_file  # and no more of scope: the first point is there before the rest is loaded
-    from scope.scan_setup import scan_options
+    from scope.report import scan_page, scan_result, scan_text
+    from scope.scanning import scan_options, scan_to_file
 
     with user_errors():
-        if report is not None:
-            require_folder(report)
+        require_folder(report)
         with progress("scanning", quiet=quiet) as tick:
             options = scan_options(
                 method=method, which=which, normals=normals, max_sigma=max_sigma, extrapolate=extrapolate, isolated=isolated,
                 max_incidence=max_incidence, voxel=voxel,
             )  # fmt: skip
             found = scan_to_file(capture, rig, out, options, resume=resume, on_frame=tick)
-        from scope import scan_report
-
         say(f"wrote {out}", quiet=quiet)
         if report is not None:
-            write_text(report, scan_report.scan_page(found, capture))
+            write_text(report, scan_page(found, capture))
             say(f"wrote {report}", quiet=quiet)
-    emit(scan_report.scan_result(found), as_json=as_json, text=scan_report.scan_text(found))
+    emit(scan_result(found), as_json=as_json, text=scan_text(found))
     if found.why_incomplete:
         say(f"incomplete: {found.why_incomplete}; go on with --resume", quiet=quiet)
     if not found.verified and not allow_unverified:
@@ -95,10 +92,10 @@ def simulate(
     quiet: Quiet = False,
 ) -> None:
     """Render a virtual rig: calibration.toml, capture.toml, images, and the truth."""
-    from scope import pipeline
+    from scope import simulate as simulate_rig
 
     with user_errors(), progress("rendering", quiet=quiet) as tick:
-        result = pipeline.simulate(design, out, seed=seed, on_image=tick)
+        result = simulate_rig(design, out, seed, on_image=tick).result
     emit(
         result,
         as_json=as_json,
@@ -112,8 +109,8 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Simulate, calibrate, verify, scan, measure and report, and show the deviation of each from the truth."""
-    from scope import pipeline
+    from scope.demo import demo_text, run_demo
 
     with user_errors(), progress("demo", quiet=quiet) as tick:
-        result = pipeline.run_demo(out, on_step=tick, say=lambda text: say(text, quiet=quiet))
-    emit(result, as_json=as_json, text=pipeline.demo_text(result))
+        result = run_demo(out, on_step=tick, say=lambda text: say(text, quiet=quiet))
+    emit(result, as_json=as_json, text=demo_text(result))

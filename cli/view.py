@@ -44,11 +44,10 @@ def view(
     import webbrowser
 
     from calibration.atomic import require_folder, write_text
-    from scope.view import view_page
+    from scope.report import view_page
 
     with user_errors():
-        if out is not None:
-            require_folder(out)
+        require_folder(out)
         html = view_page(path)
         page = out or Path(tempfile.mkdtemp(prefix="scope-")) / f"{path.stem}.html"
         write_text(page, html)

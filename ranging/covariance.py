@@ -15,7 +15,7 @@ import numpy as np
 
 from calibration.camera import Camera
 from calibration.geometry import Array
-from calibration.laser import Laser
+from calibration.sheet import Laser
 
 BATCH = 2048  # points
 

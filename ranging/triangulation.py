@@ -8,8 +8,8 @@ import numpy as np
 
 from calibration.camera import Camera
 from calibration.geometry import Array, Codes
-from calibration.laser import Laser
 from calibration.reason import Reason
+from calibration.sheet import Laser
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from calibration.geometry import Pose
-from calibration.plane_map import PlaneMarks
+from calibration.rays import PlaneMarks
 
 # A camera of 640 x 480 px 300 to 380 mm from the jig, a laser from below, and a sphere and steps on a plate that a
 # linear stage carries through the sheet of light.

@@ -132,7 +132,7 @@ def test_imports_go_down_the_chain_and_heavy_ones_stay_inside_functions(path: Pa
         ("try:\n    import open3d.core\nexcept ImportError:\n    pass", ["open3d.core"]),
         ("from scipy import spatial", ["scipy.spatial"]),
         ("class A:\n    import trimesh", ["trimesh"]),
-        ("def f():\n    import scope.cloud", ["scope.cloud"]),
+        ("def f():\n    import scope.cloud.scan_cloud", ["scope.cloud.scan_cloud"]),
         ("def f():\n    import open3d", []),
         ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import trimesh", []),
         ("import scipy.optimize, calibration.geometry", []),
@@ -253,8 +253,8 @@ def examples(title: str) -> list[str]:
 @pytest.mark.parametrize(
     ("title", "module", "model"),
     [
-        ("calibration.toml", "scope.calibration_file", "CalibrationSection"),
-        ("capture.toml", "scope.capture", "CaptureSection"),
+        ("calibration.toml", "scope.session.calibration_file", "CalibrationSection"),
+        ("capture.toml", "scope.session.capture", "CaptureSection"),
     ],
 )
 def test_documented_examples_are_valid_and_every_key_is_documented(title: str, module: str, model: str) -> None:

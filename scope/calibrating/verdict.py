@@ -1,0 +1,312 @@
+"""The verdict on a calibration, in numbers and in plain words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from calibration.geometry import Array
+from calibration.rays import FreehandFit, TwoPlaneFit, rms
+from calibration.rig import Verification
+from calibration.sheet import Laser
+from calibration.stages import Stage
+from calibration.targets import SpotGrid
+from calibration.verification import (
+    Fault,
+    HeldOut,
+    Interplane,
+    Intraplane,
+    Lattice,
+    find_faults,
+    held_out,
+    interplane,
+    intraplane,
+    leave_views_out,
+)
+from scope.calibrating.marks import SeenPlane
+from scope.session import CalibrationPlan
+
+Dropped: TypeAlias = tuple[str, str]  # a view held by hand that was left out, and why
+NAN = float("nan")
+ADVICE = (
+    "an error that is affine (all stand-offs or the pitch wrong by one factor) is invisible to planes: check a known "
+    "artefact with scope check"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """What goes into the rig and what --json gives."""
+
+    verification: Verification
+    content: dict[str, Any]
+    intraplane: Intraplane | None = None
+    interplane: Interplane | None = None
+    held_out: tuple[HeldOut, ...] = ()
+
+
+def judge_jig(
+    plan: CalibrationPlan,
+    seen: list[SeenPlane],
+    fit: TwoPlaneFit,
+    lasers: dict[str, Laser],
+    stages: tuple[Stage, ...],
+) -> Verdict:
+    """Judge a calibration on known stand-offs: faults, held-out planes, and the limits of [accept]."""
+    held = held_out(fit, model=fit.camera.model)
+    agreement, inside = interplane(fit.camera), intraplane(fit)
+    of_plane = {h.name: h for h in held}
+    at = {m.name: k for k, m in enumerate(fit.marks)}
+    rows = []
+    for s in seen:
+        k = at.get(s.plan.name)
+        if k is None:
+            rows.append(_row(s))
+            continue
+        plane = fit.planes[k]
+        figures = {
+            "used": len(fit.marks[k]),
+            "fit_px": plane.fit_px,
+            "fit_px_mean": plane.fit_px_mean,
+            "fit_mm": inside.planes[k].fit_mm,
+            "loo_px": plane.loo_px,
+            "loo_mm": plane.loo_mm,
+            "placement_px": float(inside.split.plane_px[k]),
+        }
+        rows.append(_row(s, of_plane.get(s.plan.name), **figures))
+    faults = [*_moved(seen), *[mirrored_fault(s.plan.name) for s in seen if s.mirrored], *_named(plan, fit, seen)]
+    ray_mm = _rms([h.rms_mm for h in held if h.between])
+    content = {
+        "ray_mm": ray_mm,
+        "order": fit.planes[0].map.terms,
+        "model": fit.camera.model,
+        "interplane_mm": agreement.interplane_mm,
+        "interplane_sum_abs_mm": _mean(agreement.sum_abs),
+        "line_disagreement_rad": agreement.disagreement,
+        "residual_px": {
+            "target": inside.split.target_px,
+            "placement": inside.split.placement_px,
+            "random": inside.split.random_px,
+        },
+        "stages": [stage_content(stage) for stage in stages],
+    }
+    verdict = _verdict(
+        plan, seen, rows, lasers, agreement.interplane_px, faults, ray_mm, content, planes=len(fit.marks)
+    )
+    return Verdict(verdict.verification, verdict.content, inside, agreement, held)
+
+
+def judge_freehand(
+    plan: CalibrationPlan,
+    seen: list[SeenPlane],
+    fit: FreehandFit,
+    lasers: dict[str, Laser],
+    stages: tuple[Stage, ...],
+) -> Verdict:
+    """Judge a calibration from views held by hand: each view against the camera of the others."""
+    held = leave_views_out(fit)
+    of_view = {h.name: h for h in held}
+    at = {m.name: k for k, m in enumerate(fit.views)}
+    rows = []
+    for s in seen:
+        k = at.get(s.plan.name)
+        rows.append(
+            _row(s)
+            if k is None
+            else _row(s, of_view.get(s.plan.name), used=len(fit.views[k]), fit_px=rms(fit.residuals[k]))
+        )
+    ray_mm = _rms([h.rms_mm for h in held])
+    content = {
+        "model": "pinhole",
+        "ray_mm": ray_mm,
+        "fit_px": fit.fit_px,
+        "dropped": [{"name": name, "reason": reason} for name, reason in fit.dropped],
+        "stages": [stage_content(stage) for stage in stages],
+    }
+    verdict = _verdict(plan, seen, rows, lasers, NAN, _moved(seen), ray_mm, content, planes=0)
+    return Verdict(verdict.verification, verdict.content, held_out=held)
+
+
+def _rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values else NAN
+
+
+def _mean(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else NAN
+
+
+def _row(seen: SeenPlane, held: HeldOut | None = None, **figures: float) -> dict[str, Any]:
+    """What is told of one plane; null what is not known of it."""
+    jig = seen.plan.c_from_target is not None  # a view by hand has no place of its own to be off
+    names = ("used", "fit_px", "fit_px_mean", "fit_mm", "loo_px", "loo_mm", "placement_px")
+    return {
+        "name": seen.plan.name,
+        "found": seen.found,
+        "repeat_px": seen.repeat_px,
+        **{name: figures.get(name, 0 if name == "used" else NAN) for name in names},
+        "heldout_mm": NAN if held is None else held.rms_mm,
+        "heldout_px": NAN if held is None else held.rms_px,
+        "heldout_bias_mm": None if held is None or not jig else held.bias_mm.tolist(),
+        "between": None if held is None or not jig else held.between,
+    }
+
+
+def _named(plan: CalibrationPlan, fit: TwoPlaneFit, seen: list[SeenPlane]) -> list[dict[str, Any]]:
+    """Faults that the planes show against each other; ``remedy`` is a whole sentence that names plane, fault, size and what to do.
+
+    Planes that are seen mirrored have their fault already and are left out.
+    """
+    mirrored = {s.plan.name for s in seen if s.mirrored}
+    planes = [m for m in fit.marks if m.name not in mirrored]
+    if len(planes) < 2:
+        return []
+    field = fit.joint.field if not mirrored else None
+    return [fault_content(fault) for fault in find_faults(planes, field=field, lattice=lattice_of(plan))]
+
+
+def lattice_of(plan: CalibrationPlan) -> Lattice | None:
+    """Grid of the plan's target, where it is one of spots."""
+    target = plan.target
+    return Lattice(target.rows, target.columns, target.pitch) if isinstance(target, SpotGrid) else None
+
+
+def fault_content(fault: Fault) -> dict[str, Any]:
+    """One fault as --json gives it."""
+    return {
+        "plane": fault.plane,
+        "kind": fault.kind,
+        "value": fault.value,
+        "standard_error": fault.standard_error,
+        "unit": fault.unit,
+        "or": list(fault.alternatives),
+        "centre": fault.centre,
+        "mark": fault.mark,
+        "remedy": fault.remedy,
+    }
+
+
+def mirrored_fault(plane: str) -> dict[str, Any]:
+    """The fault ``labelling`` of a plane whose fiducials only match in a mirror."""
+    remedy = f"plane {plane}: its fiducials are seen mirrored: turn the front of the target to the camera, or correct `fiducials`"
+    return fault_content(Fault(plane, "labelling", NAN, NAN, "", (), None, None, remedy))
+
+
+def _moved(seen: list[SeenPlane]) -> list[dict[str, Any]]:
+    """Return a fault ``moved`` for every plane whose marks shift between repeats by more than their noise explains."""
+    faults = []
+    for s in seen:
+        if s.repeat_px > 0.01 + 6 * np.nan_to_num(s.repeat_noise_px):
+            faults.append(
+                {
+                    "plane": s.plan.name,
+                    "kind": "moved",
+                    "value": s.repeat_px,
+                    "standard_error": s.repeat_noise_px,
+                    "unit": "px",
+                    "or": [],
+                    "remedy": f"plane {s.plan.name}: target or camera moved by {s.repeat_px:.3f} px between the repeats: fix both and "
+                    "take the images of this plane again",
+                }
+            )
+    return faults
+
+
+def _verdict(
+    plan: CalibrationPlan,
+    seen: list[SeenPlane],
+    rows: list[dict[str, Any]],
+    lasers: dict[str, Laser],
+    interplane_px: float,
+    faults: list[dict[str, Any]],
+    ray_mm: float,
+    content: dict[str, Any],
+    *,
+    planes: int,
+) -> Verdict:
+    failed = [str(fault["remedy"]) for fault in faults]
+    failed += _beyond(plan, seen, lasers, ray_mm)
+    passed = not failed
+    why = "; ".join(failed) if failed else _praise(plan, planes)
+    content = {
+        "passed": passed,
+        "why": why,
+        "planes": rows,
+        "interplane_px": interplane_px,
+        "faults": faults,
+        "lasers": {name: laser_content(laser) for name, laser in lasers.items()},
+        **content,
+    }
+    return Verdict(Verification(passed, why, tuple(faults), tuple(rows), interplane_px), content)
+
+
+def _beyond(plan: CalibrationPlan, seen: list[SeenPlane], lasers: dict[str, Laser], ray_mm: float) -> list[str]:
+    """Limits of [accept] that do not hold, or could not be tested."""
+    failed = []
+    limit = plan.accept.get("ray_mm")
+    if limit is not None and not np.isfinite(ray_mm):
+        failed.append(
+            "accept.ray_mm cannot be tested: held-out rays need three planes with an origin, or four freehand views; add one"
+        )
+    elif limit is not None and ray_mm > limit:
+        failed.append(
+            f"held-out rays are off by {ray_mm:.4f} mm rms, {limit:g} allowed: add spots or planes, or a higher --order"
+        )
+    limit = plan.accept.get("laser_mm")
+    if limit is not None and not lasers:
+        failed.append("accept.laser_mm cannot be tested: no plane has a laser image; add `laser` to the planes")
+    for name, laser in lasers.items():
+        if limit is not None and not laser.rms_mm <= limit:
+            failed.append(
+                f"laser {name}: its points lie {laser.rms_mm:.4f} mm rms off the sheet, {limit:g} allowed: check exposure, "
+                "background and that nothing moved"
+            )
+    limit = plan.accept.get("repeat_px")
+    for s in seen:
+        if limit is not None and s.repeat_px > limit:
+            failed.append(f"plane {s.plan.name}: marks move by {s.repeat_px:.3f} px between repeats, {limit:g} allowed")
+    return failed
+
+
+def _praise(plan: CalibrationPlan, planes: int) -> str:
+    limits = ", ".join(f"{key} {value:g}" for key, value in plan.accept.items())
+    tested = (
+        f"no faults, and within {limits}"
+        if limits
+        else "no faults; no [accept] limits were given, so only self-consistency was tested"
+    )
+    if planes == 2:
+        tested += "; two planes have no redundancy: a misplaced plane would not show, so a third is advised"
+    return f"{tested}; {ADVICE}"
+
+
+def laser_content(laser: Laser) -> dict[str, Any]:
+    """One laser as --json gives it."""
+    plane = laser.plane
+    return {
+        "normal": plane.normal,
+        "offset": plane.offset,
+        "rms_mm": laser.rms_mm,
+        "loo_mm": laser.loo_mm,
+        "n": laser.n,
+        "flatness_mm": laser.flatness_mm,
+        "flatness_sigma_mm": laser.flatness_sigma,
+        "curved": len(laser.covariance) > 3,
+        "along": laser.along,
+        "channel": laser.channel,
+        "planes": [{"name": p.plane, "n": p.n, "rms_mm": p.rms_mm, "loo_mm": p.loo_mm} for p in laser.planes],
+    }
+
+
+def stage_content(stage: Stage) -> dict[str, Any]:
+    """One stage as --json gives it."""
+    return {
+        "kind": stage.kind,
+        "direction": stage.direction,
+        "point": stage.point,
+        "direction_sigma_deg": float(np.degrees(stage.direction_sigma)),
+        "scale": stage.scale,
+        "rms_mm": stage.rms_mm,
+    }

@@ -1,0 +1,36 @@
+"""scope.cloud."""
+
+from scope.cloud.columns import Sensors
+from scope.cloud.files import SENSOR, VERTEX, comments, require_format, sensor_records, vertex_records
+from scope.cloud.filters import FilterOptions, filtered
+from scope.cloud.lattice import lattice_index, lattice_lines
+from scope.cloud.near_mesh import NEAR, Mesh, read_mesh
+from scope.cloud.normals import lattice_normals, lattice_spacing
+from scope.cloud.region import Box, Polygon, Region
+from scope.cloud.region_text import parse_region, require_names
+from scope.cloud.scan_cloud import ScanCloud
+
+__all__ = [
+    "Box",
+    "FilterOptions",
+    "Mesh",
+    "NEAR",
+    "Polygon",
+    "Region",
+    "SENSOR",
+    "ScanCloud",
+    "Sensors",
+    "VERTEX",
+    "comments",
+    "filtered",
+    "lattice_index",
+    "lattice_lines",
+    "lattice_normals",
+    "lattice_spacing",
+    "parse_region",
+    "read_mesh",
+    "require_format",
+    "require_names",
+    "sensor_records",
+    "vertex_records",
+]

@@ -1,0 +1,100 @@
+"""Points in scan order, with what is known of each: the columns that files, filters and the lattice work on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.geometry import Array, Bools, Pose, rotation_from_quaternion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensors:
+    """Where the camera and the laser were, one row a frame and laser, in the cloud frame."""
+
+    frame: NDArray[np.int32]  # (M,)
+    laser: NDArray[np.uint8]  # (M,)
+    centre: Array  # (M, 3) mm, the point nearest to all sighting rays
+    rotation: Array  # (M, 4) quaternion w x y z of cloud_from_C
+    laser_origin: Array  # (M, 3) mm, NaN where unknown
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """What a `ScanCloud` holds: N ranged points of one scan, in scan order, by frame, then along the stripe.
+
+    The frame is that of the calibration (C) with the object put back to position 0. ``sigma`` is independent from
+    point to point and averages out; ``sigma_cal`` comes from the calibration, is shared, and does not.
+    """
+
+    points: Array  # (N, 3) mm, finite
+    intensity: NDArray[np.float32]  # (N,) peak of the stripe, grey levels of the image
+    sigma: NDArray[np.float32]  # (N,) mm along the sighting ray, one standard deviation
+    sigma_cal: NDArray[np.float32]  # (N,) mm along the sighting ray, one standard deviation
+    pixels: NDArray[np.float32]  # (N, 2) px (u, v); the coordinate along the stripe is whole
+    frame: NDArray[np.int32]  # (N,)
+    laser: NDArray[np.uint8]  # (N,) index into laser_names
+    sensors: Sensors | None = None  # None where the file tells nothing
+    normals: Array | None = None  # (N, 3) unit, towards the camera
+    laser_names: tuple[str, ...] = ("laser",)
+    rig_sha256: str = ""
+    verified: bool = False  # the calibration passed its verification
+    complete: bool = True  # no frame is missing
+    stripe_width: tuple[float, ...] = ()  # mm, one sigma of each laser's stripe on the surface; empty: not known
+    stripe_corrected: tuple[float, ...] = ()  # share (0 to 1) of what that width does to heights that ranging took off
+    camera_centre: Array = field(default_factory=lambda: np.full(3, np.nan))  # (3,) mm, in C
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @classmethod
+    def from_points(cls, points: Array) -> Self:
+        """Bare points (N, 3) mm, of which nothing else is known: NaN sigma, frame 0, no sensors.
+
+        Rows that are not finite are refused with ``ValueError``: a cloud holds ranged points only.
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise ValueError("points must be (N, 3) and finite")
+        n = len(points)
+        unknown = np.full(n, np.nan, dtype=np.float32)
+        return cls(
+            points=points,
+            intensity=unknown,
+            sigma=unknown,
+            sigma_cal=unknown,
+            pixels=np.full((n, 2), np.nan, dtype=np.float32),
+            frame=np.zeros(n, dtype=np.int32),
+            laser=np.zeros(n, dtype=np.uint8),
+        )
+
+    def select(self, keep: Bools | NDArray[np.intp]) -> Self:
+        """The points of a mask (N,) or of indices, still in the order given."""
+        return replace(
+            self,
+            points=self.points[keep],
+            intensity=self.intensity[keep],
+            sigma=self.sigma[keep],
+            sigma_cal=self.sigma_cal[keep],
+            pixels=self.pixels[keep],
+            frame=self.frame[keep],
+            laser=self.laser[keep],
+            normals=None if self.normals is None else self.normals[keep],
+        )
+
+    def cloud_from_camera(self, frame: int) -> Pose:
+        """Pose cloud_from_C when ``frame`` was taken; ``ValueError`` where the cloud does not know it."""
+        if self.sensors is None or not np.isfinite(self.camera_centre).all():
+            raise ValueError("the cloud does not say where its sensor was")
+        rows = np.flatnonzero(self.sensors.frame == frame)
+        if len(rows) == 0:
+            raise ValueError(f"the cloud has no frame {frame}")
+        row = rows[0]
+        rotation = rotation_from_quaternion(self.sensors.rotation[row])
+        return Pose(rotation, self.sensors.centre[row] - rotation @ self.camera_centre)

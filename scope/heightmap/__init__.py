@@ -1,0 +1,47 @@
+"""scope.heightmap."""
+
+from scope.heightmap.edges import refuse_edges
+from scope.heightmap.files import ENDINGS, NoLatticeError, read_heights, read_xyz, within
+from scope.heightmap.filters import (
+    ALPHA,
+    SAMPLES_PER_INDEX,
+    gaussian,
+    l_filter,
+    least_s_index,
+    local_roughness,
+    s_filter,
+)
+from scope.heightmap.form import remove_form, require_form
+from scope.heightmap.heights import HeightMap
+from scope.heightmap.model import remove_model
+from scope.heightmap.patch import DEEPEST, LEAST_POINTS, patch_heights
+from scope.heightmap.spatial import ISOTROPIC, Autocorrelation, Texture, autocorrelation, power_spectrum, texture
+
+__all__ = [
+    "ALPHA",
+    "Autocorrelation",
+    "DEEPEST",
+    "ENDINGS",
+    "HeightMap",
+    "ISOTROPIC",
+    "LEAST_POINTS",
+    "NoLatticeError",
+    "SAMPLES_PER_INDEX",
+    "Texture",
+    "autocorrelation",
+    "gaussian",
+    "l_filter",
+    "least_s_index",
+    "local_roughness",
+    "patch_heights",
+    "power_spectrum",
+    "read_heights",
+    "read_xyz",
+    "refuse_edges",
+    "remove_form",
+    "remove_model",
+    "require_form",
+    "s_filter",
+    "texture",
+    "within",
+]

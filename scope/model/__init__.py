@@ -1,0 +1,23 @@
+"""scope.model."""
+
+from scope.model.alignment import Fit, evaluate, refine
+from scope.model.files import load_model
+from scope.model.grid import align, hidden, passes
+from scope.model.model import Model, angle_between, distinct, fibonacci_sphere, rotations
+from scope.model.surface import Surface
+
+__all__ = [
+    "Fit",
+    "Model",
+    "Surface",
+    "align",
+    "angle_between",
+    "distinct",
+    "evaluate",
+    "fibonacci_sphere",
+    "hidden",
+    "load_model",
+    "passes",
+    "refine",
+    "rotations",
+]

@@ -1,0 +1,30 @@
+"""scope.pose."""
+
+from scope.pose.answer import PoseResult
+from scope.pose.estimate import estimate_pose
+from scope.pose.placed import Placed, frame_of, place, read_transform, write_deviation
+from scope.pose.search import normals_of, thin
+from scope.pose.segmentation import largest_plane
+from scope.pose.uncertainty import patches, shared_errors
+from scope.pose.visibility import eyes, sheet_and_window
+from scope.pose.wording import CONVENTION, pose_result, pose_text
+
+__all__ = [
+    "CONVENTION",
+    "Placed",
+    "PoseResult",
+    "estimate_pose",
+    "eyes",
+    "frame_of",
+    "largest_plane",
+    "normals_of",
+    "patches",
+    "place",
+    "pose_result",
+    "pose_text",
+    "read_transform",
+    "shared_errors",
+    "sheet_and_window",
+    "thin",
+    "write_deviation",
+]

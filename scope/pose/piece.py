@@ -1,0 +1,270 @@
+"""The pose of the part in one piece of a scan: search, refine, weigh, decide."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration.geometry import Array, Ints, Pose
+from scope.cloud import ScanCloud
+from scope.model import Model, Surface, distinct, evaluate, refine
+from scope.pose import segmentation
+from scope.pose.answer import LEAST_SHOWN, Candidate, PoseOptions, PoseResult
+from scope.pose.decision import CAP, MISSING, Evidence, area_of, margin, same_answer, weigh, what_differs
+from scope.pose.hold import REACH, hold
+from scope.pose.rim import settle_by_rim
+from scope.pose.search import View, normals_of, polish, search, thin
+from scope.pose.uncertainty import Uncertainty, shared_errors, uncertainty
+from scope.pose.visibility import Light, eyes, light_of
+
+CLEAR_EXPLAINED = 0.9  # share of the points, above which a first search is not repeated with more starts
+CLEAR_COVERED = 0.95
+
+
+def locate(
+    cloud: ScanCloud, rows: Ints, model: Model, surface: Surface, initial: Pose | None, options: PoseOptions
+) -> PoseResult:
+    """Search, refine and decide for one piece of the scan."""
+    points = cloud.points[rows]
+    size = segmentation.extent(points)
+    if size > 1.6 * model.diameter:
+        return _refused(
+            model, rows,
+            f"the piece of the scan is {size:.0f} mm across and the part {model.diameter:.0f} mm; give the region of the part",
+        )  # fmt: skip
+    camera, laser = eyes(cloud, rows)
+    spacing = model.diameter / 100
+    chosen = thin(points, spacing)
+    shown, whole = len(chosen) * spacing**2, area_of(model)
+    if len(chosen) < 60 or shown < LEAST_SHOWN * whole:
+        return _refused(
+            model, rows,
+            f"the scan shows {shown:.0f} mm2 of the part's {whole:.0f} mm2, at least {100 * LEAST_SHOWN:.0f} % needed; scan more of it",
+        )  # fmt: skip
+    order = np.random.default_rng(0).permutation(len(chosen))
+    chosen = chosen[order]
+    at = camera[chosen] if camera is not None else None
+    normal = normals_of(points, points[chosen], at, radius=4 * spacing)
+    view = View(points[chosen], normal, at, None if laser is None else laser[chosen])
+    sigma = _sigma(cloud, rows)
+    others = np.setdiff1d(np.arange(len(cloud)), rows)
+    if len(others):
+        others = others[segmentation.crowded(cloud.points[others], 2 * spacing)]
+    if len(others):
+        others = others[thin(cloud.points[others], 2 * spacing)]
+    witnesses = None
+    if len(others) and camera is not None:
+        far_camera, far_laser = eyes(cloud, others)
+        witnesses = View(cloud.points[others], np.zeros((len(others), 3)), far_camera, far_laser)
+    light = light_of(cloud, cloud.points[others], voxel=1.5 * spacing)
+    uncovered = (
+        None if light is None else lambda pose: light.uncovered(surface, pose, model.samples[::40], model.normals[::40])
+    )
+    weighed: list[Evidence] = []
+    for starts, keep, spread in ((options.starts, 40, 0.0), (4 * options.starts, 120, 0.15)):
+        poses, cost = search(model, view, starts=starts, keep=keep, spread=spread, uncovered=uncovered)
+        poses, cost = _with_likenesses(model, view, poses, cost, initial)
+        found = _weigh_all(model, surface, view, sigma[chosen], light, witnesses, poses, options, spacing)
+        if not weighed or found[0].cost < weighed[0].cost:
+            weighed = found
+        if weighed[0].explained >= CLEAR_EXPLAINED and not weighed[0].covered < CLEAR_COVERED:
+            break  # else look harder, before saying no and before believing a pose that leaves much unexplained
+    return _decide(cloud, rows, model, surface, weighed, sigma, camera, light, options)
+
+
+def _refused(model: Model, rows: Ints, why: str) -> PoseResult:
+    """An answer for a piece that was not even searched."""
+    unknown = np.full(len(rows), np.nan)
+    return PoseResult(None, None, None, 0.0, float("nan"), False, why, (), "", None, rows, unknown, model)
+
+
+def _sigma(cloud: ScanCloud, rows: Ints) -> Array:
+    """Sigma (N,) mm of points; where unknown, the usual one of those known, else 0.1."""
+    sigma = cloud.sigma[rows].astype(np.float64)
+    known = np.isfinite(sigma) & (sigma > 0)
+    usual = float(np.median(sigma[known])) if known.any() else 0.1
+    return np.where(known, sigma, usual)
+
+
+def _with_likenesses(
+    model: Model, view: View, poses: list[Pose], cost: Array, initial: Pose | None
+) -> tuple[list[Pose], Array]:
+    """Add to the best poses those in which the model looks like itself; distinct ones, best first."""
+    more = [poses[i] @ motion for i in range(min(2, len(poses))) for motion in model.likenesses]
+    more += [] if initial is None else [initial, *(initial @ motion for motion in model.likenesses)]
+    if not more:
+        return poses, cost
+    more, costs = polish(model, view, more)
+    everything = poses + more
+    total = np.concatenate([cost, costs])
+    rotation = np.stack([p.inverse.rotation for p in everything])
+    translation = np.stack([p.inverse.translation for p in everything])
+    kept = distinct(rotation, translation, total, view.points.mean(axis=0), 0.03, 0.012 * model.diameter)
+    return [everything[i] for i in kept], total[kept]
+
+
+def _weigh_all(
+    model: Model,
+    surface: Surface,
+    view: View,
+    sigma: Array,
+    light: Light | None,
+    witnesses: View | None,
+    poses: list[Pose],
+    options: PoseOptions,
+    spacing: float,
+) -> list[Evidence]:
+    """Refined and weighed candidates, best first.
+
+    A quick look on the distance grid leaves out those that are far behind; the rest are refined on the mesh.
+    """
+    d, tolerance = model.diameter, options.tolerance
+    variance = sigma**2 + tolerance**2 + (0.1 * model.fine.spacing) ** 2
+    quick = []
+    for pose in poses:
+        gap = model.fine.look_up(pose.inverse.apply(view.points))[0]
+        quick.append(float(np.minimum(gap**2 / (2 * variance), CAP).sum()))
+    order = np.argsort(quick)
+    near = [k for n, k in enumerate(order) if n < 3 or quick[k] < quick[order[0]] + 0.15 * CAP * len(sigma)]
+    if light is not None and len(near) > options.candidates:
+        samples, normals = model.samples[::18], model.normals[::18]
+        missing = [len(sigma) * light.uncovered(surface, poses[k], samples, normals) for k in near]
+        near = [near[i] for i in np.argsort([quick[k] + MISSING * m for k, m in zip(near, missing, strict=True)])]
+    few = slice(0, 2500)
+    camera = None if view.camera is None else view.camera[few]
+    reach = (0.01 * d, 0.008 * d, 0.006 * d, 0.005 * d, max(1.0, 0.003 * d), max(1.0, 0.003 * d))
+    done: list[Evidence] = []
+    hopeless = quick[order[0]] > 0.7 * CAP * len(sigma)
+    for k in near[: 2 if hopeless else options.candidates]:
+        fit = refine(
+            surface, poses[k], view.points[few], sigma[few], camera, reach=reach, floor=tolerance, borders=True
+        )
+        if not any(same_answer(model, fit.pose, e.pose, turn=0.004, shift=0.002 * d) for e in done):
+            done.append(
+                weigh(model, surface, fit.pose, view, sigma, light, witnesses, tolerance=tolerance, spacing=spacing)
+            )
+    return sorted(done, key=lambda e: e.cost)
+
+
+def _decide(
+    cloud: ScanCloud,
+    rows: Ints,
+    model: Model,
+    surface: Surface,
+    weighed: list[Evidence],
+    sigma: Array,
+    camera: Array | None,
+    light: Light | None,
+    options: PoseOptions,
+) -> PoseResult:
+    best = weighed[0]
+    candidates = tuple(Candidate(e.pose, e.explained, e.blocked, e.covered, e.cost - best.cost) for e in weighed)
+    points = cloud.points[rows]
+    reach = max(10 * float(np.median(sigma)), 0.5)
+    fit = refine(surface, best.pose, points, sigma, camera, reach=(reach,) * 2, floor=options.form)
+    shared_sigma = cloud.sigma_cal[rows].astype(np.float64)
+    parameters = None
+    if light is not None and light.sheet is not None and camera is not None:
+        normal = light.camera_from_cloud[0].rotation.T @ light.sheet.normal
+        parameters = shared_errors(points, camera, normal, shared_sigma)
+    middle = fit.pose.apply(model.centre)
+    known = uncertainty(fit, points, camera, shared_sigma, parameters, centre=middle, radius=model.diameter / 2)
+    misfit = _misfit(best, options)
+    score, rival = _runner_up(model, weighed)
+    borders = ""
+    sliding = _but_axis(model, fit.pose, known.loose_motions, middle)
+    if not misfit and rival is None and len(sliding):
+        local = fit.pose.inverse.apply(points)
+        near = np.linalg.norm(surface.nearest(local)[0] - local, axis=1) < 1.5 * REACH
+        settled = hold(surface, fit.pose, sliding, points[near], sigma[near], middle, model.diameter / 2)
+        if settled is None and light is not None:
+            settled = settle_by_rim(surface, model, fit.pose, sliding, points[near], light, middle, model.diameter / 2)
+        if settled is not None:
+            borders = "; faces that slide in themselves were placed by their borders"
+            rows_held = sliding / settled[1][:, None]
+            fit = evaluate(surface, settled[0], points, sigma, camera, cut=reach, floor=options.form)
+            known = uncertainty(
+                fit, points, camera, shared_sigma, parameters,
+                centre=middle, radius=model.diameter / 2, held=rows_held,
+            )  # fmt: skip
+    rmse = float(np.sqrt(np.mean(fit.residual[fit.used] ** 2))) if fit.used.any() else float("nan")
+    axis = None
+    if model.axis is not None:
+        axis = (fit.pose.apply(model.axis.point), fit.pose.rotation @ model.axis.direction)
+    why, tell = misfit, ""
+    if not why and rival is not None:
+        why = f"two poses explain the scan alike ({score:.0f} nats apart)"
+        tell = what_differs(model, best.pose, rival.pose)
+    if not why and known.loose and not _of_axis(model, fit.pose, known):
+        why = f"the scan does not hold the part: it {' and '.join(known.loose)}"
+        tell = "scan a part of it that stops this motion"
+    good, ambiguous = not why, bool(tell)
+    if good:
+        why = "no other pose comes near" if np.isinf(score) else f"{score:.0f} nats better than the runner-up"
+        why += borders
+    return PoseResult(
+        cloud_from_model=fit.pose if good else None,
+        covariance=known.covariance if good else None,
+        uncertainty=known,
+        score=score,
+        rmse_mm=rmse,
+        ambiguous=ambiguous,
+        why=why,
+        candidates=candidates,
+        tell_apart=tell,
+        axis=axis,
+        points=rows,
+        deviation=fit.residual,
+        model=model,
+    )
+
+
+def _misfit(best: Evidence, options: PoseOptions) -> str:
+    """Why the best pose is no pose of this part; empty where it fits."""
+    for share, limit, sign, what in (
+        (best.explained, options.least_explained, 1, "of the points lie on the model"),
+        (best.covered, options.least_covered, 1, "of the surface that should be seen has points"),
+        (best.blocked, options.most_blocked, -1, "of the points were seen through the model"),
+    ):
+        if sign * share < sign * limit:
+            bound = "at least" if sign > 0 else "at most"
+            return (
+                f"the best pose does not fit: {100 * share:.0f} % {what}, {bound} {100 * limit:.0f} % needed; "
+                "is it this part, is more than the part in the region, is the mesh in mm?"
+            )
+    return ""
+
+
+def _runner_up(model: Model, weighed: list[Evidence]) -> tuple[float, Evidence | None]:
+    """Nats to the nearest other pose (inf without one), and the pose itself where they do not decide."""
+    best, score = weighed[0], float("inf")
+    for other in weighed[1:]:
+        if same_answer(model, best.pose, other.pose, turn=0.01, shift=0.004 * model.diameter):
+            continue
+        gain, sure = margin(best, other)
+        score = min(score, gain)
+        if not sure:
+            return gain, other
+    return score, None
+
+
+def _but_axis(model: Model, pose: Pose, loose: Array, middle: Array) -> Array:
+    """Loose motions (L, 6) without the turn about the model's own axis of revolution, which nothing can stop."""
+    if model.axis is None or len(loose) == 0:
+        return loose
+    direction, arm = pose.rotation @ model.axis.direction, middle - pose.apply(model.axis.point)
+    turn = np.concatenate([np.cross(direction, arm), direction * model.diameter / 2])
+    turn /= np.linalg.norm(turn)
+    if np.linalg.norm(loose @ turn) < 0.98:
+        return loose
+    rest = loose - np.outer(loose @ turn, turn)
+    return np.asarray(np.linalg.svd(rest, full_matrices=False)[2][: len(loose) - 1])
+
+
+def _of_axis(model: Model, pose: Pose, known: Uncertainty) -> bool:
+    """Whether the one loose motion is the turn about the model's own axis of revolution."""
+    if model.axis is None or len(known.loose_motions) != 1:
+        return False
+    axis = pose.rotation @ model.axis.direction
+    turn = known.loose_motions[0][3:]
+    length = float(np.linalg.norm(turn))
+    return length > 0.5 and abs(float(turn @ axis)) / length > 0.98

@@ -1,0 +1,127 @@
+"""A pose in words and in JSON that robots read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from calibration.geometry import Array, Pose, quaternion_from_rotation
+from scope.pose.placed import Placed
+
+
+def roll_pitch_yaw(rotation: Array) -> Array:
+    """Angles (3,) rad about the fixed axes x, then y, then z: R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    At pitch = +-90 degrees only the sum or difference of the others is known: roll is then 0.
+    """
+    pitch = float(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))
+    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:
+        return np.array([0.0, pitch, float(np.arctan2(-rotation[0, 1], rotation[1, 1]))])
+    roll = float(np.arctan2(rotation[2, 1], rotation[2, 2]))
+    return np.array([roll, pitch, float(np.arctan2(rotation[1, 0], rotation[0, 0]))])
+
+
+def pose_json(pose: Pose) -> dict[str, Any]:
+    """One transform in three notations: row-major 4x4 (mm), translation (mm) with quaternion w x y z, and with angles."""
+    return {
+        "matrix": pose.matrix.tolist(),
+        "translation_mm": pose.translation.tolist(),
+        "quaternion_wxyz": quaternion_from_rotation(pose.rotation).tolist(),
+        "rpy_deg": np.degrees(roll_pitch_yaw(pose.rotation)).tolist(),
+    }
+
+
+CONVENTION = (
+    "a_from_b maps points of b to a: x_a = R x_b + t, 4x4 row-major, mm. quaternion w x y z. rpy: degrees about the fixed "
+    "axes x, y, z in this order, R = Rz Ry Rx. covariance: 6x6 of (x, y, z mm, turns about x, y, z of the cloud, rad), the "
+    "turns about the model's origin."
+)
+
+
+def deviation_text(deviation: Array) -> str:
+    """Percentiles of signed distances in one line; points further than 2 mm are other things."""
+    near = deviation[np.isfinite(deviation) & (np.abs(deviation) < 2.0)]
+    if len(near) == 0:
+        return "no point near the model"
+    low, middle, high = np.percentile(near, [2.5, 50, 97.5])
+    return f"95 % of the points lie between {low:+.3f} and {high:+.3f} mm of the mesh, median {middle:+.3f} mm"
+
+
+def pose_result(placed: Placed) -> dict[str, Any]:
+    """What --json gives."""
+    result = placed.result
+    poses = {
+        "cloud_from_model": result.cloud_from_model,
+        "camera_from_model": placed.camera_from_model,
+        "robot_from_model": placed.robot_from_model,
+    }
+    axis = None
+    if result.axis is not None:
+        axis = {"point_mm": result.axis[0].tolist(), "direction": result.axis[1].tolist(), "frame": "cloud"}
+    known = result.uncertainty
+    return {
+        **{name: None if pose is None else pose.matrix.tolist() for name, pose in poses.items()},
+        "at": placed.at,
+        "found": result.found,
+        "ambiguous": result.ambiguous,
+        "why": result.why,
+        "tell_apart": result.tell_apart or None,
+        "covariance": None if result.covariance is None else result.covariance.tolist(),
+        "covariance_random": None if known is None or not result.found else known.random.tolist(),
+        "covariance_calibration": None if known is None or not result.found else known.shared.tolist(),
+        "loose": [] if known is None else list(known.loose),
+        "score": result.score,
+        "rmse_mm": result.rmse_mm,
+        "symmetry_axis": axis,
+        "equivalent": []
+        if result.cloud_from_model is None
+        else [(result.cloud_from_model @ motion).matrix.tolist() for motion in result.model.symmetries],
+        "notations": {name: pose_json(pose) for name, pose in poses.items() if pose is not None},
+        "candidates": [
+            {
+                "cloud_from_model": c.cloud_from_model.matrix.tolist(),
+                "explained": c.explained,
+                "blocked": c.blocked,
+                "covered": c.covered,
+                "behind": c.behind,
+            }
+            for c in result.candidates
+        ],
+        "points": len(result.points),
+        "others": [
+            {"cloud_from_model": o.cloud_from_model.matrix.tolist(), "score": o.score, "rmse_mm": o.rmse_mm}
+            for o in result.others
+            if o.cloud_from_model is not None
+        ],
+        "convention": CONVENTION,
+    }
+
+
+def pose_text(placed: Placed) -> str:
+    """What a person reads on the terminal."""
+    result = placed.result
+    if result.cloud_from_model is None:
+        kind = "ambiguous" if result.ambiguous else "refused"
+        return "\n".join(filter(None, [f"{kind}: {result.why}", result.tell_apart]))
+    lines = [f"found: {result.why}; rms {result.rmse_mm:.3f} mm over {len(result.points)} points"]
+    named = [("cloud", result.cloud_from_model), (f"camera at frame {placed.at}", placed.camera_from_model)]
+    for name, pose in [*named, ("robot", placed.robot_from_model)]:
+        if pose is not None:
+            told = pose_json(pose)
+            x, y, z = told["translation_mm"]
+            roll, pitch, yaw = told["rpy_deg"]
+            lines.append(
+                f"{name}: x {x:.3f} y {y:.3f} z {z:.3f} mm, roll {roll:.3f} pitch {pitch:.3f} yaw {yaw:.3f} deg"
+            )
+    if result.covariance is not None:
+        sd = np.sqrt(np.diag(result.covariance))
+        lines.append(
+            f"one sigma: {np.array2string(sd[:3], precision=4)} mm, {np.array2string(np.degrees(sd[3:]), precision=4)} deg"
+        )
+    if result.axis is not None:
+        lines.append("the part may be turned freely about its axis of revolution")
+    if result.others:
+        lines.append(f"{len(result.others)} further part(s) of the same kind")
+    lines.append(deviation_text(result.deviation))
+    return "\n".join(lines)

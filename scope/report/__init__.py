@@ -1,0 +1,36 @@
+"""scope.report."""
+
+from scope.report.calibration import (
+    calibration_page,
+    calibration_text,
+    check_text,
+    verification_page,
+    verification_text,
+)
+from scope.report.page import Page
+from scope.report.pictures import grey_blocks, with_marks, with_stripe
+from scope.report.pose import pose_html
+from scope.report.roughness import roughness_csv, roughness_page, roughness_text
+from scope.report.scan import add_views, scan_page, scan_result, scan_text
+from scope.report.view import view_page
+
+__all__ = [
+    "Page",
+    "add_views",
+    "calibration_page",
+    "calibration_text",
+    "check_text",
+    "grey_blocks",
+    "pose_html",
+    "roughness_csv",
+    "roughness_page",
+    "roughness_text",
+    "scan_page",
+    "scan_result",
+    "scan_text",
+    "verification_page",
+    "verification_text",
+    "view_page",
+    "with_marks",
+    "with_stripe",
+]

@@ -1,0 +1,209 @@
+"""Self-contained HTML pages: verdict, tables, images, line plots and a cloud that can be turned."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calibration.geometry import Array
+from scope.report._page_cloud import CLOUD_SCRIPT
+
+Level = Literal["good", "warn", "bad", "plain"]
+Picture: TypeAlias = NDArray[np.uint8]  # (rows, columns) grey or (rows, columns, 3) BGR
+
+_STYLE = """
+:root{color-scheme:light}body{font:15px/1.5 system-ui,sans-serif;max-width:68rem;margin:2rem auto;padding:0 1rem;color:#1c2430;background:#fff}
+h1{font-size:1.6rem;margin:0 0 .6rem}h2{font-size:1.15rem;margin:2rem 0 .5rem;border-bottom:1px solid #d5dae1;padding-bottom:.2rem}
+.verdict{padding:.7rem 1rem;border-left:6px solid;border-radius:3px;font-size:1.05rem;margin:0 0 1rem}
+.good{background:#e8f5ec;border-color:#1f8a4c}.warn{background:#fff6e0;border-color:#c98a00}.bad{background:#fdeaea;border-color:#c0342c}.plain{background:#eef1f5;border-color:#8793a3}
+table{border-collapse:collapse;margin:.5rem 0;font-variant-numeric:tabular-nums}th,td{padding:.25rem .7rem;border-bottom:1px solid #e2e6eb;text-align:right;vertical-align:top}
+th{background:#f4f6f8;font-weight:600}td:first-child,th:first-child{text-align:left}td.text{text-align:left}
+figure{margin:.7rem 1rem .7rem 0;display:inline-block;vertical-align:top;max-width:100%}figure img{max-width:100%;border:1px solid #d5dae1}
+figcaption{color:#55606e;font-size:.88rem;max-width:40rem}.cloud{width:min(100%,60rem);height:32rem;background:#10151c;display:block;touch-action:none}
+svg text{font:11px system-ui,sans-serif;fill:#333}footer{margin-top:3rem;color:#7a8494;font-size:.85rem}
+"""
+_COLOURS = ("#1f5fa8", "#c0342c", "#1f8a4c", "#8a5bb5", "#c98a00", "#3aa6a6")
+
+
+@dataclass(slots=True)
+class Page:
+    """A page that grows from top to bottom; ``html()`` gives one file that needs nothing else.
+
+    Every text is escaped. Numbers are formatted by the caller, who knows how many figures are true.
+    """
+
+    title: str
+    _parts: list[str] = field(default_factory=list)
+    _has_cloud: bool = False
+
+    def verdict(self, level: Level, text: str) -> None:
+        """Draw the box that says pass or fail, and why, in plain words."""
+        self._parts.append(f'<p class="verdict {level}">{html.escape(text)}</p>')
+
+    def heading(self, text: str) -> None:
+        """Start a section."""
+        self._parts.append(f"<h2>{html.escape(text)}</h2>")
+
+    def text(self, text: str) -> None:
+        """Add a paragraph."""
+        self._parts.append(f"<p>{html.escape(text)}</p>")
+
+    def table(self, headers: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+        """Add a table; cells that are no numbers are set to the left."""
+        head = "".join(f"<th>{html.escape(cell)}</th>" for cell in headers)
+        body = "".join("<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in rows)
+        self._parts.append(f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>")
+
+    def image(self, picture: Picture, caption: str, *, width: int | None = None) -> None:
+        """Add a picture (grey or BGR) as PNG; ``width`` is the width on the page, px."""
+        done, data = cv2.imencode(".png", picture)
+        if not done:
+            raise ValueError("the picture is not an image of 8 bits")
+        shown = f' width="{width}"' if width else ""
+        source = base64.b64encode(data.tobytes()).decode("ascii")
+        self._figure(f'<img{shown} alt="{html.escape(caption)}" src="data:image/png;base64,{source}">', caption, width)
+
+    def plot(
+        self,
+        series: Sequence[tuple[str, ArrayLike, ArrayLike]],
+        caption: str,
+        *,
+        x_label: str,
+        y_label: str,
+        points: bool = False,
+        log: bool = False,
+    ) -> None:
+        """Add a line plot (or dots) of (name, x, y) series; NaN breaks a line; ``log`` makes both axes logarithmic."""
+        self._figure(_plot_svg(series, x_label, y_label, points=points, log=log), caption)
+
+    def cloud(self, points: Array, values: ArrayLike, caption: str, *, limit: int = 150_000) -> None:
+        """Add a point cloud (N, 3) mm coloured by values (N,), to be turned with the mouse (WebGL).
+
+        At most ``limit`` points are shown, every k-th, so that the page stays small; the caption says so.
+        """
+        step = max(1, -(-len(points) // limit))
+        shown, colour = points[::step], colour_bgr(np.asarray(values, dtype=np.float64)[::step])[:, ::-1]
+        centre = np.median(shown, axis=0) if len(shown) else np.zeros(3)
+        payload = np.zeros(len(shown), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3), ("pad", "u1")])
+        payload["xyz"], payload["rgb"] = shown - centre, colour
+        data = base64.b64encode(payload.tobytes()).decode("ascii")
+        note = caption if step == 1 else f"{caption} (every {step}th of {len(points)} points)"
+        self._figure(f'<canvas class="cloud" data-points="{data}"></canvas>', note)
+        self._has_cloud = True
+
+    def html(self) -> str:
+        """The whole page."""
+        script = f"<script>{CLOUD_SCRIPT}</script>" if self._has_cloud else ""
+        title = html.escape(self.title)
+        return (
+            f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>'
+            f"</head><body><h1>{title}</h1>{''.join(self._parts)}{script}</body></html>\n"
+        )
+
+    def _figure(self, content: str, caption: str, width: int | None = None) -> None:
+        style = f' style="width:{width + 2}px"' if width else ""  # a long caption must not push its neighbour below
+        self._parts.append(f"<figure{style}>{content}<figcaption>{html.escape(caption)}</figcaption></figure>")
+
+
+def colour_bgr(values: Array, low: float | None = None, high: float | None = None) -> Picture:
+    """Colours (..., 3) BGR of values (viridis between ``low`` and ``high``); NaN is dark grey.
+
+    Without limits, the 2nd and 98th percentile are used, so that a few wild values do not hide the rest.
+    """
+    known = np.isfinite(values)
+    if not known.any():
+        return np.full((*values.shape, 3), 64, dtype=np.uint8)
+    bottom = float(np.percentile(values[known], 2)) if low is None else low
+    top = float(np.percentile(values[known], 98)) if high is None else high
+    scaled = np.clip((np.where(known, values, bottom) - bottom) / max(top - bottom, 1e-30), 0, 1)
+    grey = np.rint(scaled * 255).astype(np.uint8)
+    picture = cv2.applyColorMap(grey.reshape(-1, 1), cv2.COLORMAP_VIRIDIS).reshape(*values.shape, 3)
+    picture[~known] = 64
+    return np.asarray(picture, dtype=np.uint8)
+
+
+def _cell(text: str) -> str:
+    number = text.strip().lstrip("+-−±<>≤≥ ")[:1].isdigit() or text.strip() in {"", "-"}
+    return f"<td>{html.escape(text)}</td>" if number else f'<td class="text">{html.escape(text)}</td>'
+
+
+def _plot_svg(
+    series: Sequence[tuple[str, ArrayLike, ArrayLike]], x_label: str, y_label: str, *, points: bool, log: bool
+) -> str:
+    width, height, left, bottom, top, right = 620, 320, 64, 42, 12, 12
+    curves = [(name, np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)) for name, x, y in series]
+    if log:
+        curves = [(n, np.log10(np.where(x > 0, x, np.nan)), np.log10(np.where(y > 0, y, np.nan))) for n, x, y in curves]
+    everything_x = np.concatenate([x[np.isfinite(x) & np.isfinite(y)] for _, x, y in curves] or [np.zeros(0)])
+    everything_y = np.concatenate([y[np.isfinite(x) & np.isfinite(y)] for _, x, y in curves] or [np.zeros(0)])
+    if len(everything_x) == 0:
+        return "<p>nothing to plot</p>"
+    x0, x1 = _span(everything_x)
+    y0, y1 = _span(everything_y)
+
+    def at(x: Array, y: Array) -> tuple[Array, Array]:
+        return (
+            left + (x - x0) / (x1 - x0) * (width - left - right),
+            height - bottom - (y - y0) / (y1 - y0) * (height - bottom - top),
+        )
+
+    parts = [f'<svg viewBox="0 0 {width} {height}" width="{width}" role="img">']
+    for value in _ticks(x0, x1):
+        tick = float(at(np.array(value), np.array(y0))[0])
+        parts.append(f'<line x1="{tick:.1f}" x2="{tick:.1f}" y1="{top}" y2="{height - bottom}" stroke="#e4e8ed"/>')
+        parts.append(
+            f'<text x="{tick:.1f}" y="{height - bottom + 15}" text-anchor="middle">{_label(value, log)}</text>'
+        )
+    for value in _ticks(y0, y1):
+        tick = float(at(np.array(x0), np.array(value))[1])
+        parts.append(f'<line x1="{left}" x2="{width - right}" y1="{tick:.1f}" y2="{tick:.1f}" stroke="#e4e8ed"/>')
+        parts.append(f'<text x="{left - 6}" y="{tick + 4:.1f}" text-anchor="end">{_label(value, log)}</text>')
+    for k, (name, x, y) in enumerate(curves):
+        colour = _COLOURS[k % len(_COLOURS)]
+        px, py = at(x, y)
+        known = np.isfinite(px) & np.isfinite(py)
+        if points:
+            dots = "".join(f"M{a:.1f} {b:.1f}h.01" for a, b in zip(px[known], py[known], strict=True))
+            parts.append(f'<path d="{dots}" stroke="{colour}" stroke-width="3" stroke-linecap="round" fill="none"/>')
+        else:
+            path, pen = [], "M"
+            for a, b, good in zip(px, py, known, strict=True):
+                if good:
+                    path.append(f"{pen}{a:.1f} {b:.1f}")
+                pen = "L" if good else "M"
+            parts.append(f'<path d="{"".join(path)}" stroke="{colour}" stroke-width="1.4" fill="none"/>')
+        if name:
+            parts.append(
+                f'<text x="{left + 8}" y="{top + 14 + 14 * k}" style="fill:{colour}">{html.escape(name)}</text>'
+            )
+    middle = (top + height - bottom) / 2
+    parts.append(f'<text x="{(left + width) / 2}" y="{height - 8}" text-anchor="middle">{html.escape(x_label)}</text>')
+    parts.append(
+        f'<text x="14" y="{middle}" text-anchor="middle" transform="rotate(-90 14 {middle})">{html.escape(y_label)}</text>'
+    )
+    return "".join([*parts, "</svg>"])
+
+
+def _span(values: Array) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    margin = 0.04 * (high - low) or max(abs(high), 1.0) * 1e-3
+    return low - margin, high + margin
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    rough = (high - low) / 5
+    power = 10.0 ** np.floor(np.log10(rough))
+    step = float(power * min((1, 2, 5, 10), key=lambda m: abs(m * power - rough)))
+    first = int(np.ceil(low / step))
+    return [k * step for k in range(first, int(np.floor(high / step)) + 1)]
+
+
+def _label(value: float, log: bool) -> str:
+    return f"{10**value:.3g}" if log else f"{0.0 if abs(value) < 1e-12 else value:.5g}"

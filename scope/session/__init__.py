@@ -1,0 +1,41 @@
+"""scope.session."""
+
+from scope.session.calibration_file import (
+    CalibrationPlan,
+    LaserPlan,
+    ListedMarks,
+    PlanePlan,
+    StagePlan,
+    read_calibration,
+)
+from scope.session.capture import Capture, StageUse, read_capture
+from scope.session.frames import AHEAD, Frame, Source, held_of, in_order, open_source
+from scope.session.images import Image, gray, mean_gray, mean_image, read_alike, read_image, shape_text
+from scope.session.templates import TEMPLATES, write_template
+
+__all__ = [
+    "AHEAD",
+    "CalibrationPlan",
+    "Capture",
+    "Frame",
+    "Image",
+    "LaserPlan",
+    "ListedMarks",
+    "PlanePlan",
+    "Source",
+    "StagePlan",
+    "StageUse",
+    "TEMPLATES",
+    "gray",
+    "held_of",
+    "in_order",
+    "mean_gray",
+    "mean_image",
+    "open_source",
+    "read_alike",
+    "read_calibration",
+    "read_capture",
+    "read_image",
+    "shape_text",
+    "write_template",
+]

@@ -1,0 +1,236 @@
+"""The frames of a capture, from a folder, a video or a camera, decoded ahead and in order."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeVar
+
+from calibration.errors import FileError
+from ranging.errors import RangingError
+from scope.session.capture import Capture
+from scope.session.images import Image, read_image
+
+T = TypeVar("T")
+AHEAD = 20  # frames held at once, at most: while one run of frames is ranged, the threads go on with the next
+HELD = 256 << 20  # bytes of images held so, or four frames
+THREADS = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One exposure: the image, and the laser-off image that belongs to it alone."""
+
+    number: int  # for the motion
+    name: str
+    image: Image
+    background: Image | None = None
+    at: float | None = None  # s, as the container of a video tells
+
+
+class Source(Protocol):
+    """Frames to come; ``loaders`` are called in threads, in order of issue."""
+
+    @property
+    def count(self) -> int | None:
+        """Frames to come in all; None: unknown before the end."""
+        ...
+
+    @property
+    def trouble(self) -> str:
+        """Why fewer or other frames came than were announced; empty where all is well."""
+        ...
+
+    @property
+    def endless(self) -> bool:
+        """Whether only the user ends it, so that an interrupt is no loss."""
+        ...
+
+    def sample(self, count: int) -> list[Frame]:
+        """A few frames, to choose channel and noise by; they come again from `loaders`."""
+        ...
+
+    def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
+        """Calls that give the frames from the ``first`` on; one that gives None ends the stream."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Folder:
+    """Image files."""
+
+    capture: Capture
+
+    @property
+    def count(self) -> int:
+        """Frames, each of one image or of a pair."""
+        return len(self.capture.images) // (2 if self.capture.background_mode == "alternate" else 1)
+
+    @property
+    def trouble(self) -> str:
+        """Empty: a file that cannot be read is an error of its own."""
+        return ""
+
+    @property
+    def endless(self) -> bool:
+        """False: the files are counted."""
+        return False
+
+    def sample(self, count: int) -> list[Frame]:
+        """Frames spread evenly over the folder."""
+        return [self._load(k) for k in range(0, self.count, max(1, self.count // count))[:count]]
+
+    def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
+        """One loader a frame: files are decoded in the threads that call them."""
+        for k in range(first, self.count):
+            yield lambda k=k: self._load(k)  # type: ignore[misc]
+
+    def _load(self, k: int) -> Frame:
+        capture = self.capture
+        number = k if capture.numbers is None else capture.numbers[k]
+        if capture.background_mode == "alternate":
+            on, off = capture.images[2 * k : 2 * k + 2]
+            return Frame(number, on.name, read_image(on), read_image(off))
+        image = capture.images[k]
+        dark = read_image(capture.background[k]) if capture.background_mode == "paired" else None
+        return Frame(number, image.name, read_image(image), dark)
+
+
+@dataclass(slots=True, eq=False)
+class Stream:
+    """A video file, or a live camera by its index: frames come one after the other."""
+
+    capture: Capture
+    opened: Any  # cv2.VideoCapture
+    name: str
+    count: int | None
+    trouble: str = ""
+    _ahead: deque[Frame] = field(default_factory=deque)  # frames read before they were asked for
+    _read: int = 0
+    _at: float | None = None  # s, of the last frame
+    _skipped: int = 0  # frames that the timestamps miss
+
+    @classmethod
+    def open(cls, capture: Capture) -> Stream:
+        """Open the capture's video or camera; ``FileError`` or ``RangingError`` where it cannot be."""
+        import cv2
+
+        if capture.video is not None:
+            opened = cv2.VideoCapture(str(capture.video), _decoder())
+            if not opened.isOpened():
+                raise FileError(f"{capture.video}: is no video that can be decoded; record it again or give images")
+            announced = int(opened.get(cv2.CAP_PROP_FRAME_COUNT))
+            pair = 2 if capture.background_mode == "alternate" else 1
+            return cls(capture, opened, capture.video.name, announced // pair if announced > 0 else None)
+        opened = cv2.VideoCapture(capture.camera or 0)
+        if not opened.isOpened():
+            raise RangingError(
+                f"{capture.path}: camera {capture.camera} does not answer; check the cable, the index and that no other program "
+                "uses it"
+            )
+        return cls(capture, opened, f"camera {capture.camera}", capture.frames)
+
+    @property
+    def endless(self) -> bool:
+        """Whether this is a camera of which no number of frames was asked."""
+        return self.capture.video is None and self.count is None
+
+    def sample(self, count: int) -> list[Frame]:
+        """The first frames: a stream cannot be wound back, so they are kept for `loaders`."""
+        while len(self._ahead) < count and (frame := self._next()) is not None:
+            self._ahead.append(frame)
+        return list(self._ahead)[:count]
+
+    def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
+        """Loaders of frames that were read here, in order; a stream ends with its last frame."""
+        given = 0
+        try:
+            while self.count is None or given < self.count:
+                frame = self._ahead.popleft() if self._ahead else self._next()
+                if frame is None:
+                    if self.count is not None:
+                        self.trouble = f"{self.name} ended after {given} of {self.count} frames"
+                    elif self.endless:
+                        self.trouble = f"{self.name} stopped after {given} frames"
+                    return
+                if given >= first:
+                    yield lambda frame=frame: frame  # type: ignore[misc]
+                given += 1
+        finally:
+            self.opened.release()
+
+    def _next(self) -> Frame | None:
+        import cv2
+
+        done, image = self.opened.read()
+        if not done:
+            return None
+        at = float(self.opened.get(cv2.CAP_PROP_POS_MSEC)) * 1e-3 if self.capture.video is not None else None
+        dark = None
+        if self.capture.background_mode == "alternate":
+            done, dark = self.opened.read()
+            if not done:
+                return None
+        k, self._read = self._read, self._read + 1
+        if at is not None:
+            self._compare(k, at)
+        return Frame(k, f"{self.name} frame {k}", image, dark, at)
+
+    def _compare(self, k: int, at: float) -> None:
+        """Notice frames that a recorder dropped: with `step`, every frame after them would be misplaced."""
+        import cv2
+
+        rate = float(self.opened.get(cv2.CAP_PROP_FPS)) / (2 if self.capture.background_mode == "alternate" else 1)
+        missing = round((at - self._at) * rate) - 1 if self._at is not None and 0.1 < rate < 1e5 else 0
+        self._at = at
+        if missing > 0 and self.capture.by_step:
+            self._skipped += missing
+            self.trouble = (
+                f"{self.name}: by its timestamps {self._skipped} frames were dropped before frame {k} and with `step` what "
+                "follows is misplaced; list `positions`"
+            )
+
+
+def _decoder() -> int:
+    """FFmpeg where OpenCV has it: the decoders that are tried after it print what they do not understand."""
+    import cv2
+
+    known = cv2.videoio_registry.getStreamBackends()
+    return int(cv2.CAP_FFMPEG if cv2.CAP_FFMPEG in known else cv2.CAP_ANY)
+
+
+def open_source(capture: Capture) -> Source:
+    """Where the frames of a capture come from."""
+    return Folder(capture) if capture.images else Stream.open(capture)
+
+
+def held_of(image: Image | None, most: int) -> int:
+    """How many frames like this one are held at once: ``most`` of them, fewer of large ones."""
+    return most if image is None else max(4, min(most, HELD // max(1, image.nbytes)))
+
+
+def in_order(source: Source, work: Callable[[Frame], T], *, first: int = 0, ahead: int = AHEAD) -> Iterator[T]:
+    """Results of ``work`` on every frame, in order; loading and work run ahead in threads, few frames are held."""
+    with ThreadPoolExecutor(max_workers=THREADS) as pool:
+        waiting: deque[Future[T | None]] = deque()
+
+        def job(load: Callable[[], Frame | None]) -> T | None:
+            frame = load()
+            return None if frame is None else work(frame)
+
+        try:
+            for load in source.loaders(first):
+                waiting.append(pool.submit(job, load))
+                if len(waiting) >= ahead:
+                    result = waiting.popleft().result()
+                    if result is not None:
+                        yield result
+            while waiting:
+                result = waiting.popleft().result()
+                if result is not None:
+                    yield result
+        finally:
+            for future in waiting:
+                future.cancel()

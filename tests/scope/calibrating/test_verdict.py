@@ -1,0 +1,59 @@
+"""What a calibration and a verification tell, on the small simulated session."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from scope.calibrating import calibrate, check_plane, verify
+from scope.report import calibration_page, calibration_text
+
+
+@pytest.fixture(scope="module")
+def found(session):
+    return calibrate(session.calibration)
+
+
+def test_residuals_are_split_and_every_plane_is_held_out(found) -> None:
+    result = found.result
+    parts = result["residual_px"]
+    together = math.sqrt(sum(value**2 for value in parts.values()))
+    assert parts["random"] > 2 * parts["placement"]  # a simulated jig is exact, its noise is not
+    for plane in result["planes"]:
+        assert together == pytest.approx(plane["fit_px"], rel=0.5)
+        assert np.linalg.norm(plane["heldout_bias_mm"]) < plane["heldout_mm"]
+    assert [plane["between"] for plane in result["planes"]] == [False, True, True, False]
+
+
+def test_the_page_tells_what_the_json_tells(found) -> None:
+    page = calibration_page(found)
+    for heading in ("Held out", "Intra-plane", "Inter-plane", "Uncertainty of the rays", "numerical findings", "Marks"):
+        assert heading in page
+    assert "repeats mark for mark" in page
+    assert found.result["planes"][0]["name"] in calibration_text(found)
+
+
+def test_a_moved_camera_is_told_by_verify(copy_of_session) -> None:
+    copy = copy_of_session()
+    assert verify(copy.rig, copy.calibration)["faults"] == []
+    for path in copy.folder.glob("w*/*.png"):
+        if path.parent.name[1:].isdigit():
+            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            cv2.imwrite(str(path), np.roll(image, 2, axis=1))
+    result = verify(copy.rig, copy.calibration)
+    assert not result["passed"]
+    assert [(f["plane"], f["kind"]) for f in result["faults"]] == [("all", "moved")]
+
+
+def test_a_black_image_is_no_good_at_the_jig(copy_of_session) -> None:
+    copy = copy_of_session()
+    good = check_plane(copy.calibration, "w330")
+    assert good["remedy"] == ""
+    for path in copy.folder.glob("w330/*.png"):
+        cv2.imwrite(str(path), np.zeros_like(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
+    bad = check_plane(copy.calibration, "w330")
+    assert "is black" in bad["remedy"]
+    assert set(good) == set(bad)
