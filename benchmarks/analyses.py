@@ -32,11 +32,11 @@ MODELS: tuple[Literal["joint", "two-plane"], ...] = ("joint", "two-plane")
 
 
 def _seen(name: str) -> list[PlaneMarks]:
-    from scope.calibrating.marks import see_plane
+    from scope.calibrating.marks import measure_plane
     from scope.session import read_calibration
 
     plan = read_calibration(require(name) / "calibration.toml")
-    return [see_plane(plan, plane).marks for plane in plan.planes]
+    return [measure_plane(plan, plane).marks for plane in plan.planes]
 
 
 def numerics() -> None:

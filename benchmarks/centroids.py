@@ -139,7 +139,7 @@ SHARE = {"edge": 1.0, "paper": 0.25}  # of the draws that a method sees; the oth
 
 
 @dataclass
-class Tally:
+class ScanStatistics:
     """Errors of one method in one cell, summed up."""
 
     square: float = 0.0  # px^2, both axes
@@ -187,7 +187,7 @@ def main() -> None:
     print("| R px | blur px | SNR | shot | bound px | " + " | ".join(METHODS) + " | edge: rms / sigma | bias px |")
     print("| --- " * (7 + len(METHODS)) + "|")
     for cell in conditions:
-        tally = {m: Tally() for m in METHODS}
+        tally = {m: ScanStatistics() for m in METHODS}
         for first in range(0, draws, ROWS * COLUMNS):
             image, truth = scene(cell, ROWS, COLUMNS, rng)
             for method in METHODS:

@@ -178,11 +178,11 @@ def errors(draws: int) -> None:
 
 
 def _seen(name: str) -> list[PlaneMarks]:
-    from scope.calibrating.marks import see_plane
+    from scope.calibrating.marks import measure_plane
     from scope.session import read_calibration
 
     plan = read_calibration(require(name) / "calibration.toml")
-    return [see_plane(plan, plane).marks for plane in plan.planes]
+    return [measure_plane(plan, plane).marks for plane in plan.planes]
 
 
 def _stated(planes: list[PlaneMarks], k: int, kind: str, size: float, angle: float) -> list[PlaneMarks]:

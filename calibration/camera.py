@@ -29,7 +29,7 @@ class Camera(Protocol):
         ...
 
     def rays(self, pixels: Array, *, near: Array | float | None = None) -> Rays:
-        """Sighting rays in C of pixels (N, 2) px; ``near`` is the depth, mm, at which they should be best."""
+        """RaySource rays in C of pixels (N, 2) px; ``near`` is the depth, mm, at which they should be best."""
         ...
 
     def shift(self, pixels: Array, points: Array) -> Array:

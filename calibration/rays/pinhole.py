@@ -34,7 +34,7 @@ class PinholeCamera:
         return "pinhole"
 
     def rays(self, pixels: Array, *, near: Array | float | None = None) -> Rays:  # noqa: ARG002  (one depth is as good as another)
-        """Sighting rays in C from the one centre; ``near`` makes no difference."""
+        """RaySource rays in C from the one centre; ``near`` makes no difference."""
         direction = self.directions(pixels, self.matrix, self.distortion)
         origin = np.broadcast_to(self.c_from_camera.translation, direction.shape)
         return Rays(origin, direction @ self.c_from_camera.rotation.T)

@@ -13,15 +13,15 @@ from calibration.geometry import Array, Pose, Rays
 from calibration.rays.plane_map import PlaneMarks
 
 
-class Sighting(Protocol):
+class RaySource(Protocol):
     """A camera, or a bare field of rays."""
 
     def rays(self, pixels: Array) -> Rays:
-        """Sighting rays in C of pixels (N, 2) px."""
+        """RaySource rays in C of pixels (N, 2) px."""
         ...
 
 
-def locate_target(camera: Sighting, marks: PlaneMarks) -> PlaneMarks:
+def locate_target(camera: RaySource, marks: PlaneMarks) -> PlaneMarks:
     """Marks of a freehand view with the pose that brings them nearest to their sighting rays.
 
     Starts from OpenCV's plane pose with the rays' nearest point as centre, and then minimises the distances between
@@ -71,7 +71,7 @@ def locate_target(camera: Sighting, marks: PlaneMarks) -> PlaneMarks:
     return PlaneMarks(marks.name, marks.pixels, marks.points, pose, marks.mark, marks.covariance)
 
 
-def centre_covariance(camera: Sighting, placed: PlaneMarks) -> Array:
+def centre_covariance(camera: RaySource, placed: PlaneMarks) -> Array:
     """Covariance (3, 3) mm^2 of the middle of a located target, from how far its marks lie from their rays.
 
     The marks of a rigid target share the error of its pose: along the sighting direction it is far larger than across.

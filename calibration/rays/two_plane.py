@@ -27,7 +27,7 @@ class TwoPlaneCamera:
     model: Literal["two-plane", "joint"]  # which of the two ranging should use
 
     def rays(self, pixels: Array, *, near: Array | float | None = None) -> Rays:
-        """Sighting rays in C.
+        """RaySource rays in C.
 
         Parameters
         ----------

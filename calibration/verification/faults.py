@@ -19,10 +19,10 @@ from calibration.verification._gross import coarse_starts
 from calibration.verification.hypotheses import (
     FALSE_ALARM,
     Choice,
-    Evidence,
     Explained,
     Hypothesis,
     Misplacement,
+    Score,
     best_single,
     choose,
 )
@@ -34,7 +34,7 @@ from calibration.verification.wording import Fault, FaultKind, Lattice, of_hypot
 __all__ = ["Fault", "FaultKind", "Lattice", "find_faults"]
 
 ROUNDS = 12  # of correction, until the faults no longer change
-GROSS = 1e3  # times the evidence that noise gives: so much that the modes may no longer be linear
+GROSS = 1e3  # times the score_of_modes that noise gives: so much that the modes may no longer be linear
 SCATTER_PX = (
     0.1  # rms by which planes may contradict each other when no few faults explain it: a jig repeats only so well
 )
@@ -101,7 +101,9 @@ def find_faults(
     if not state.choice.hypotheses and len(rest) > 2:
         off = float(np.sqrt((state.redundancy.moved_px**2).sum(axis=1).mean()))
         if off > SCATTER_PX and state.choice.scatter.any():
-            faults.append(of_scatter(best_single(state.choice.evidence), state.stated, state.choice.evidence, off))
+            faults.append(
+                of_scatter(best_single(state.choice.score_of_modes), state.stated, state.choice.score_of_modes, off)
+            )
     faults += _of_marks(state, basis)
     return tuple(faults)
 
@@ -121,7 +123,7 @@ class _State:
     @property
     def cost(self) -> float:
         """Of what is not explained, and of the parameters that explain: minus twice the logarithm of the likelihood."""
-        left = self.choice.evidence.total - self.fit.score
+        left = self.choice.score_of_modes.total - self.fit.score
         return left + 2.0 * self.redundancy.freedom * float(np.log(self.redundancy.sigma_px))
 
 
@@ -192,15 +194,20 @@ def _explain(
             kept = worse
             continue
         score = redundancy.score + redundancy.information @ amounts.ravel()
-        evidence = Evidence.of(score, redundancy.information)
-        choice = choose(evidence)
-        if not chosen and not start.any() and len(choice.hypotheses) > 1 and evidence.total > GROSS * len(evidence.z):
-            choice = replace(choice, hypotheses=(best_single(choice.evidence),))
+        score_of_modes = Score.of(score, redundancy.information)
+        choice = choose(score_of_modes)
+        if (
+            not chosen
+            and not start.any()
+            and len(choice.hypotheses) > 1
+            and score_of_modes.total > GROSS * len(score_of_modes.z)
+        ):
+            choice = replace(choice, hypotheses=(best_single(choice.score_of_modes),))
         if not chosen and choice.hypotheses and first is not None:
             choice = replace(choice, hypotheses=(first,))
         if fixed is not None:
             choice = replace(choice, hypotheses=fixed)
-        fit = choice.evidence.fit(choice.hypotheses)
+        fit = choice.score_of_modes.fit(choice.hypotheses)
         step = np.zeros(MODES * len(stated))
         step[list(fit.columns)] = fit.amounts
         change = np.abs(step - amounts.ravel())[list(fit.columns)]

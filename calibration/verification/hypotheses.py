@@ -48,7 +48,7 @@ class Hypothesis(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class Score:
     """Score and information of the modes, in whitened form: z = B a + noise, noise of unit covariance."""
 
     z: Array  # (r,)
@@ -56,7 +56,7 @@ class Evidence:
     planes: int
 
     @classmethod
-    def of(cls, score: Array, information: Array) -> Evidence:
+    def of(cls, score: Array, information: Array) -> Score:
         """Whitened form of a score (7n,) and an information matrix (7n, 7n); invisible directions are left out."""
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
         values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
@@ -71,12 +71,12 @@ class Evidence:
         """Chi-square of all visible modes."""
         return float(self.z @ self.z)
 
-    def tempered(self, scatter: Array) -> Evidence:
+    def tempered(self, scatter: Array) -> Score:
         """The same where every plane scatters by ``scatter`` (7,) of each mode, one sigma, beside the noise."""
         spread = self.b * np.tile(scatter, self.planes)
         u, s, _ = np.linalg.svd(spread, full_matrices=False)  # no Cholesky: scatter may be a million times the noise
         less = 1.0 - 1.0 / np.sqrt(1.0 + s**2)
-        return Evidence(self.z - (u * less) @ (u.T @ self.z), self.b - (u * less) @ (u.T @ self.b), self.planes)
+        return Score(self.z - (u * less) @ (u.T @ self.z), self.b - (u * less) @ (u.T @ self.b), self.planes)
 
     def fit(self, hypotheses: Sequence[Hypothesis]) -> Explained:
         """Least squares of some hypotheses together."""
@@ -110,10 +110,10 @@ class Explained:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """The hypotheses that the data ask for, and the evidence under which they were judged."""
+    """The hypotheses that the data ask for, and the score_of_modes under which they were judged."""
 
     hypotheses: tuple[Hypothesis, ...]
-    evidence: Evidence
+    score_of_modes: Score
     scatter: Array  # (7,) by which planes were found to scatter in each mode beside the faults, one sigma
 
     def widening(self, kind: Misplacement) -> float:
@@ -125,7 +125,7 @@ class Choice:
 
         if not self.scatter.any():
             return 1.0
-        left = max(self.evidence.planes - 2 - len(self.hypotheses), 1)
+        left = max(self.score_of_modes.planes - 2 - len(self.hypotheses), 1)
         freedom = min(len(g) * left for g in JITTER if set(g) & set(MODES_OF[kind]) or kind == "pitch")
         return float(t.isf(_TWO_SIGMA, freedom) / 2.0)
 
@@ -153,75 +153,77 @@ def pairs(planes: int) -> tuple[tuple[Hypothesis, Hypothesis], ...]:
     return tuple(found)
 
 
-def choose(evidence: Evidence) -> Choice:
-    """The fewest misplacements that explain the evidence.
+def choose(score_of_modes: Score) -> Choice:
+    """The fewest misplacements that explain the score_of_modes.
 
     First with the noise of the marks alone. If something significant is left that no few faults explain, then the planes
     themselves scatter (a jig repeats only so well): that scatter is estimated, mode by mode, and the choice repeated
     with it, so that a fault must stand out from the other planes and not only from the noise.
     """
     none = np.zeros(MODES)
-    if evidence.planes < 3 or not len(evidence.z):
-        return Choice((), evidence, none)
-    chosen = select(evidence)
-    if not _left_over(evidence, chosen):
-        return Choice(chosen, evidence, none)
+    if score_of_modes.planes < 3 or not len(score_of_modes.z):
+        return Choice((), score_of_modes, none)
+    chosen = select(score_of_modes)
+    if not _left_over(score_of_modes, chosen):
+        return Choice(chosen, score_of_modes, none)
     for _ in range(3):  # what no longer stands out belongs to the scatter
-        scatter = _scatter(evidence, chosen)
+        scatter = _scatter(score_of_modes, chosen)
         if not scatter.any():
-            return Choice(chosen, evidence, none)
-        tempered = evidence.tempered(scatter)
+            return Choice(chosen, score_of_modes, none)
+        tempered = score_of_modes.tempered(scatter)
         before, chosen = chosen, select(tempered, scatter)
         if chosen == before:
             break
     return Choice(chosen, tempered, scatter)
 
 
-def best_single(evidence: Evidence) -> Hypothesis:
+def best_single(score_of_modes: Score) -> Hypothesis:
     """The one misplacement that explains most for its parameters."""
-    return max(singles(evidence.planes), key=lambda h: evidence.fit((h,)).score)
+    return max(singles(score_of_modes.planes), key=lambda h: score_of_modes.fit((h,)).score)
 
 
-def _left_over(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> bool:
+def _left_over(score_of_modes: Score, chosen: tuple[Hypothesis, ...]) -> bool:
     from scipy.stats import chi2
 
-    fit = evidence.fit(chosen)
-    freedom = len(evidence.z) - fit.freedom
-    return freedom > 0 and bool(chi2.sf(evidence.total - fit.gain, freedom) < UNEXPLAINED)
+    fit = score_of_modes.fit(chosen)
+    freedom = len(score_of_modes.z) - fit.freedom
+    return freedom > 0 and bool(chi2.sf(score_of_modes.total - fit.gain, freedom) < UNEXPLAINED)
 
 
-def select(evidence: Evidence, scatter: Array | None = None) -> tuple[Hypothesis, ...]:
+def select(score_of_modes: Score, scatter: Array | None = None) -> tuple[Hypothesis, ...]:
     """Nothing, one, two, or more hypotheses, each step significant after Bonferroni, beside a scatter of the planes."""
     from scipy.stats import chi2
 
-    if chi2.sf(evidence.total, len(evidence.z)) > 0.05:
+    if chi2.sf(score_of_modes.total, len(score_of_modes.z)) > 0.05:
         return ()  # a fault that passes the tests below leaves far more than this
-    one = singles(evidence.planes)
-    fits = {(h,): evidence.fit((h,)) for h in one}
+    one = singles(score_of_modes.planes)
+    fits = {(h,): score_of_modes.fit((h,)) for h in one}
     first = max(fits, key=lambda s: fits[s].score)
     chosen: tuple[Hypothesis, ...] = ()
-    if _significant(evidence, (), first, len(one), scatter):
+    if _significant(score_of_modes, (), first, len(one), scatter):
         chosen = first
-    both = pairs(evidence.planes)
-    paired = {pair: evidence.fit(pair) for pair in both}
+    both = pairs(score_of_modes.planes)
+    paired = {pair: score_of_modes.fit(pair) for pair in both}
     second = max(paired, key=lambda s: paired[s].score)
-    if paired[second].score > evidence.fit(chosen).score and _significant(evidence, chosen, second, len(both), scatter):
+    if paired[second].score > score_of_modes.fit(chosen).score and _significant(
+        score_of_modes, chosen, second, len(both), scatter
+    ):
         chosen = second
-    while len(chosen) >= 2 and len({h.plane for h in chosen}) <= evidence.planes - 3:
+    while len(chosen) >= 2 and len({h.plane for h in chosen}) <= score_of_modes.planes - 3:
         more = [
             (*chosen, h) for h in one if h not in chosen and not any(set(h.columns) & set(c.columns) for c in chosen)
         ]
-        best = max(more, key=lambda s: evidence.fit(s).score, default=chosen)
-        if best == chosen or len({h.plane for h in best}) > evidence.planes - 3:
+        best = max(more, key=lambda s: score_of_modes.fit(s).score, default=chosen)
+        if best == chosen or len({h.plane for h in best}) > score_of_modes.planes - 3:
             break
-        if not _significant(evidence, chosen, best, len(one), scatter):
+        if not _significant(score_of_modes, chosen, best, len(one), scatter):
             break
         chosen = best
     return chosen
 
 
 def _significant(
-    evidence: Evidence,
+    score_of_modes: Score,
     without: tuple[Hypothesis, ...],
     candidate: tuple[Hypothesis, ...],
     tried: int,
@@ -230,23 +232,23 @@ def _significant(
     """Whether a candidate explains more than chance would, ``tried`` having been looked at."""
     from scipy.stats import chi2, f
 
-    less, more = evidence.fit(without), evidence.fit(candidate)
+    less, more = score_of_modes.fit(without), score_of_modes.fit(candidate)
     freedom = max(more.freedom - less.freedom, 1)
     gain = more.gain - less.gain
     if scatter is None:
         return bool(chi2.sf(gain, freedom) * tried < FALSE_ALARM / 2)
     kinds = {m for h in candidate for m in MODES_OF[h.kind]}
-    known = [len(g) * (evidence.planes - 2 - len(candidate)) for g in JITTER if kinds & set(g)]
+    known = [len(g) * (score_of_modes.planes - 2 - len(candidate)) for g in JITTER if kinds & set(g)]
     left = max(min(known, default=0), LEAST_FREEDOM)
     return bool(f.sf(gain / freedom, freedom, left) * tried < FALSE_ALARM / 2)
 
 
-def _scatter(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> Array:
+def _scatter(score_of_modes: Score, chosen: tuple[Hypothesis, ...]) -> Array:
     """Scatter (7,) of the planes in each mode, one sigma, by restricted maximum likelihood, the chosen faults removed."""
-    z, b = evidence.z, evidence.b
-    columns = evidence.fit(chosen).columns
+    z, b = score_of_modes.z, score_of_modes.b
+    columns = score_of_modes.fit(chosen).columns
     if columns:
-        left = np.linalg.svd(b[:, columns], full_matrices=True)[0][:, evidence.fit(chosen).freedom :]
+        left = np.linalg.svd(b[:, columns], full_matrices=True)[0][:, score_of_modes.fit(chosen).freedom :]
         z, b = left.T @ z, left.T @ b
     size = np.array([1.0 / np.sqrt(np.mean((b[:, m::MODES] ** 2).sum(axis=0))) for m in range(MODES)])
     outer = [
@@ -276,24 +278,24 @@ def _scatter(evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> Array:
 
 
 def alternatives(choice: Choice, own: tuple[Hypothesis, ...]) -> list[tuple[Hypothesis, Explained]]:
-    """Other hypotheses that explain the evidence about as well as ``own``, of one plane, the other chosen ones kept.
+    """Other hypotheses that explain the score_of_modes about as well as ``own``, of one plane, the other chosen ones kept.
 
     A wrong stand-off and a wrong pitch of one plane differ by a slip only; so each is held against the other with a slip
     allowed.
     """
     others = tuple(h for h in choice.hypotheses if h not in own)
-    best = choice.evidence.fit(choice.hypotheses)
+    best = choice.score_of_modes.fit(choice.hypotheses)
     taken = {h.plane for h in others}
     kinds = {h.kind for h in own}
     found = []
-    for h in singles(choice.evidence.planes):
+    for h in singles(choice.score_of_modes.planes):
         if h in own or h.plane in taken:
             continue
         if h.plane == own[0].plane and any(set(MODES_OF[one.kind]) <= set(MODES_OF[h.kind]) for one in own):
             continue  # a larger hypothesis that contains this one
-        fit = choice.evidence.fit((*others, h))
+        fit = choice.score_of_modes.fit((*others, h))
         if h.plane == own[0].plane and {h.kind} | (kinds - {"slip"}) == {"stand_off", "pitch"}:
-            slipped = choice.evidence.fit((*others, h, Hypothesis(h.plane, "slip")))
+            slipped = choice.score_of_modes.fit((*others, h, Hypothesis(h.plane, "slip")))
             if slipped.gain > best.gain - ALIKE:
                 found.append((h, slipped))
         elif fit.score > best.score - ALIKE:

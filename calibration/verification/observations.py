@@ -15,7 +15,7 @@ LEAST_ORDER = 3  # follows every placement mode, so that common ones stay invisi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sightings:
+class Observations:
     """All marks, ordered by their number so that the sightings of one mark are neighbours."""
 
     planes: tuple[PlaneMarks, ...]
@@ -28,7 +28,7 @@ class Sightings:
     world: Array  # (N, 3) mm in D
 
     @classmethod
-    def of(cls, planes: Sequence[PlaneMarks], c_from_d: Array) -> Sightings:
+    def of(cls, planes: Sequence[PlaneMarks], c_from_d: Array) -> Observations:
         """All marks of the planes, in the depth frame D."""
         mark = np.concatenate([p.mark for p in planes])
         order = np.argsort(mark, kind="stable")
@@ -43,7 +43,7 @@ class Sightings:
         return np.asarray(np.concatenate(blocks)[self.order])
 
 
-def fit_field(rows: Sightings, basis: RayField) -> RayField:
+def fit_field(rows: Observations, basis: RayField) -> RayField:
     """Field whose orders predict best the sightings of a mark left out, raised by `EXTRA_ORDER`."""
     depth, across = rows.world[:, 2], rows.world[:, :2]
     fewest = min(len(p) for p in rows.planes)
@@ -89,7 +89,7 @@ def fit_field(rows: Sightings, basis: RayField) -> RayField:
     return _solve_field(rows, basis, slope_order, origin_order, weight)
 
 
-def _solve_field(rows: Sightings, basis: RayField, slope_order: int, origin_order: int, weight: Array) -> RayField:
+def _solve_field(rows: Observations, basis: RayField, slope_order: int, origin_order: int, weight: Array) -> RayField:
     field = replace(basis, slope_order=slope_order, origin_order=origin_order)
     a = field.design(rows.pixels, rows.world[:, 2]) * weight[:, None]
     y = rows.world[:, :2] * weight[:, None]

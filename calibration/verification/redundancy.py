@@ -18,7 +18,7 @@ from calibration.geometry import Array, Ints
 from calibration.rays import PlaneMarks, RayField
 from calibration.verification import misplacement as placement
 from calibration.verification.misplacement import MODES
-from calibration.verification.observations import Sightings, fit_field
+from calibration.verification.observations import Observations, fit_field
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +62,7 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
     The orders of the field are those that predict best all sightings of a mark left out together (leaving out one
     sighting only would let the field learn the errors of the target), and then higher by `sightings.EXTRA_ORDER`.
     """
-    rows = Sightings.of(planes, basis.c_from_d)
+    rows = Observations.of(planes, basis.c_from_d)
     field = fit_field(rows, basis)
     here = placement.expected(field, rows.pixels, rows.world)
     to_px = np.linalg.inv(field.jacobian(here, rows.world[:, 2]))
@@ -138,7 +138,7 @@ class _Solution:
         return np.asarray(np.einsum("ni,nij,nj->n", self.pull, self.pull_inverse, self.pull))
 
 
-def _solve(rows: Sightings, x: Array, spread: Array, terms: int, ratio: float) -> _Solution:
+def _solve(rows: Observations, x: Array, spread: Array, terms: int, ratio: float) -> _Solution:
     """Least squares of the last column by the others, under the covariance 1 + ratio * (target's part)."""
     whiten = _Whitener(rows, spread, ratio)
     w = whiten(x)
@@ -181,7 +181,7 @@ def _solve(rows: Sightings, x: Array, spread: Array, terms: int, ratio: float) -
 class _Whitener:
     """Multiplies rows by (1 + ratio K K')^(-1/2), K stacking the target's part over the sightings of each mark."""
 
-    def __init__(self, rows: Sightings, spread: Array, ratio: float) -> None:
+    def __init__(self, rows: Observations, spread: Array, ratio: float) -> None:
         self.first, self.spread, self.ratio = rows.first, spread, ratio
         self.mark = np.repeat(np.arange(len(rows.first)), np.diff(np.append(rows.first, len(rows.plane))))
         inner = np.add.reduceat(np.swapaxes(spread, 1, 2) @ spread, rows.first)
@@ -208,7 +208,7 @@ class _Whitener:
         return np.asarray(np.eye(2) + self.spread @ self.core_squared[self.mark] @ np.swapaxes(self.spread, 1, 2))
 
 
-def _refine(rows: Sightings, x: Array, spread: Array, terms: int, ratio: float) -> tuple[float, _Solution]:
+def _refine(rows: Observations, x: Array, spread: Array, terms: int, ratio: float) -> tuple[float, _Solution]:
     """Ratio of variances by restricted maximum likelihood from a first estimate, and the solution under it.
 
     There the squared pulls of the target's marks are just what their covariance gives (Patterson & Thompson 1971); the
@@ -228,7 +228,7 @@ def _refine(rows: Sightings, x: Array, spread: Array, terms: int, ratio: float) 
     return float(np.exp(at)), solution
 
 
-def _target_ratio(rows: Sightings, x: Array, solution: _Solution, spread: Array) -> float:
+def _target_ratio(rows: Observations, x: Array, solution: _Solution, spread: Array) -> float:
     """Variance of a mark of the target over that of a centroid, mm^2/px^2; 0 where it does not show.
 
     Moments: the mean square of the residuals' means over the sightings of a mark, against that of their scatter about
@@ -254,7 +254,7 @@ def _target_ratio(rows: Sightings, x: Array, solution: _Solution, spread: Array)
     return (f - 1.0) / scale
 
 
-def _noise_profile(rows: Sightings, solution: _Solution) -> Array | None:
+def _noise_profile(rows: Observations, solution: _Solution) -> Array | None:
     """Noise (N,) of each centroid relative to the typical one, or None where it is the same everywhere.
 
     Planes out of focus are noisier as a whole, and spots far from the middle of the image as a rule. The logarithm of

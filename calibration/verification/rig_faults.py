@@ -15,7 +15,7 @@ from calibration.rays import PlaneMarks, RayField, locate_target, rms
 from calibration.verification import misplacement as placement
 from calibration.verification._gross import amounts_of
 from calibration.verification.faults import SCATTER_PX, Fault, Lattice
-from calibration.verification.hypotheses import Choice, Evidence, Hypothesis, select
+from calibration.verification.hypotheses import Choice, Hypothesis, Score, select
 from calibration.verification.misplacement import MODES
 from calibration.verification.wording import of_hypothesis, of_rig_moved
 
@@ -82,12 +82,12 @@ def _of_plane(field: RayField, stated: PlaneMarks, lattice: Lattice | None) -> l
         rest = y - x @ np.linalg.lstsq(x, y, rcond=1e-9)[0]
         variance = float(rest @ rest) / max(len(y) - MODES, 1)
         information = x.T @ x / variance
-        evidence = Evidence.of(x.T @ y / variance + information @ amounts, information)
-        chosen = select(evidence)
-        fit = evidence.fit(chosen)
+        score_of_modes = Score.of(x.T @ y / variance + information @ amounts, information)
+        chosen = select(score_of_modes)
+        fit = score_of_modes.fit(chosen)
         amounts = np.zeros(MODES)
         amounts[list(fit.columns)] = fit.amounts
-    choice = Choice(chosen, evidence, np.zeros(MODES))
+    choice = Choice(chosen, score_of_modes, np.zeros(MODES))
     return [of_hypothesis(h, [stated], choice, fit, lattice) for h in chosen]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from calibration.geometry import Array, Pose
 from calibration.rays import PlaneMarks
 from calibration.verification import misplacement as placement
-from calibration.verification.hypotheses import Choice, Evidence, Explained, Hypothesis, alternatives
+from calibration.verification.hypotheses import Choice, Explained, Hypothesis, Score, alternatives
 from calibration.verification.misplacement import MODES, PITCH, ROTATION, SLIP_X, SLIP_Y, STAND_OFF, TILT_X, TILT_Y
 from calibration.verification.mix_ups import MixUp
 
@@ -184,15 +184,15 @@ def of_mark(plane: PlaneMarks, row: int, size: float, error: float) -> Fault:
     return Fault(plane.name, "mark", size, error, "px", (), None, number, remedy)
 
 
-def of_scatter(worst: Hypothesis, stated: Sequence[PlaneMarks], evidence: Evidence, off: float) -> Fault:
+def of_scatter(worst: Hypothesis, stated: Sequence[PlaneMarks], score_of_modes: Score, off: float) -> Fault:
     """Planes that contradict each other by ``off`` px (rms) in a way that no few misplaced ones explain.
 
     The one that stands out most is named, but every other is a suspect.
     """
-    size = _size(worst, evidence.fit((worst,)))
+    size = _size(worst, score_of_modes.fit((worst,)))
     plane = stated[worst.plane]
     others = tuple(
-        f"{p.name}: {worst.kind} {_written(_size(h, evidence.fit((h,))))}"
+        f"{p.name}: {worst.kind} {_written(_size(h, score_of_modes.fit((h,))))}"
         for p, h in zip(stated, (Hypothesis(k, worst.kind) for k in range(len(stated))), strict=True)
         if p is not plane
     )

@@ -2,7 +2,7 @@
 
 from ranging.surface.course import REACH
 from ranging.surface.edges import refine
-from ranging.surface.lattice import CONTEXT, Lattice, Seen
-from ranging.surface.spacetime import Exposure
+from ranging.surface.lattice import CONTEXT, Lattice, MeasuredProfile
+from ranging.surface.spacetime import Timeframe
 
-__all__ = ["CONTEXT", "Exposure", "Lattice", "REACH", "Seen", "refine"]
+__all__ = ["CONTEXT", "Lattice", "MeasuredProfile", "REACH", "Timeframe", "refine"]

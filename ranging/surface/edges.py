@@ -22,7 +22,7 @@ from calibration.reason import Reason
 from ranging.surface import patches as surface
 from ranging.surface.lattice import Lattice
 from ranging.surface.slope import Slopes, footprint, slopes
-from ranging.surface.spacetime import TAPS, Exposure, follow_points
+from ranging.surface.spacetime import TAPS, Timeframe, follow_points
 
 AWAY = 4.0  # standard deviations from the nearest smooth patch, beyond which a point belongs to none
 FRAMES, LINES = 3, 2  # distances from the end of the surface at which a point that belongs to no patch is kept
@@ -51,7 +51,7 @@ def refine(
     lattice: Lattice,
     first: int,
     last: int,
-    exposures: Sequence[Exposure | None] = (),
+    timeframes: Sequence[Timeframe | None] = (),
     *,
     blur_px: float = math.nan,
 ) -> Refined:
@@ -64,7 +64,7 @@ def refine(
         depends on no more.
     first, last : int
         Rows of the lattice.
-    exposures : sequence of Exposure, optional
+    timeframes : sequence of Timeframe, optional
         Of each frame of the lattice, as for `follow_points`; without them points are judged by their neighbours alone.
     blur_px : float
         One sigma of lens and pixel; NaN where the calibration does not tell.
@@ -93,8 +93,8 @@ def refine(
         nearest_end(lattice.points, lattice.view, lattice.sigma, first, last, suspect, ends)
         at_end = (ends[0] < FRAMES) | (ends[1] < LINES)
         cut = np.where(belongs, np.abs(fit[..., surface.AWAY]) > AWAY, at_end) | (ends[0] < 1) | (ends[1] < 1)
-        if len(exposures) and found.beam.width > 0.0:
-            second = measure_again(lattice, found, exposures, suspect & (reason == Reason.RANGED), first, last)
+        if len(timeframes) and found.beam.width > 0.0:
+            second = measure_again(lattice, found, timeframes, suspect & (reason == Reason.RANGED), first, last)
             known = np.isfinite(second.offset)
             joined = known & (belongs | at_end | second.unlike)
             weight = np.where(joined, second.weight, 0.0)
@@ -127,7 +127,7 @@ class Second:
 
 
 def measure_again(
-    lattice: Lattice, found: Slopes, exposures: Sequence[Exposure | None], doubtful: Bools, first: int, last: int
+    lattice: Lattice, found: Slopes, timeframes: Sequence[Timeframe | None], doubtful: Bools, first: int, last: int
 ) -> Second:
     """Measure ``doubtful`` (n, L) points by the passage of the sheet, and see what both answers say of each other.
 
@@ -141,7 +141,7 @@ def measure_again(
     slope = np.where(known, slope, np.median(slope[known]) if known.any() else np.nan)
     sheet, blur = found.sheet, slope * np.sqrt(found.beam.blur + TAPS)
     width = np.hypot(sheet, blur)
-    passed = follow_points(lattice, exposures, doubtful, width, first, last)
+    passed = follow_points(lattice, timeframes, doubtful, width, first, last)
     weight = np.where(np.isfinite(passed.offset), (sheet / width) ** 2, 0.0)
     own = lattice.sigma[rows] * np.abs(np.einsum("fli,fli->fl", lattice.sheet[rows], lattice.view[rows]))
     with np.errstate(invalid="ignore"):

@@ -18,7 +18,7 @@ SPARSE = 5.0  # strides over the distance of points along the stripe, beyond whi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class MeasuredProfile:
     """One frame's points as one laser saw them, in the cloud frame; row i belongs to line i."""
 
     points: Array  # (L, 3) mm, NaN where there is none
@@ -37,7 +37,7 @@ class Seen:
     noise: Array  # (3,) electrons a grey level, grey levels squared without light, contrast of speckle
 
     @classmethod
-    def of(cls, found: Triangulated, stripe: Stripe, cloud_from_c: Pose, camera: Array) -> Seen:
+    def of(cls, found: Triangulated, stripe: Stripe, cloud_from_c: Pose, camera: Array) -> MeasuredProfile:
         """Put a frame's points into the cloud frame; ``camera`` (3,) mm is in C."""
         turn = cloud_from_c.rotation.T
         return cls(
@@ -60,7 +60,7 @@ class Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """F successive frames: the arrays of `Seen`, with a first axis more."""
+    """F successive frames: the arrays of `MeasuredProfile`, with a first axis more."""
 
     points: Array
     view: Array
@@ -78,9 +78,9 @@ class Lattice:
     noise: Array
 
     @classmethod
-    def of(cls, frames: list[Seen]) -> Lattice:
+    def of(cls, frames: list[MeasuredProfile]) -> Lattice:
         """Stack frames, one at least."""
-        return cls(**{f.name: np.stack([getattr(frame, f.name) for frame in frames]) for f in fields(Seen)})
+        return cls(**{f.name: np.stack([getattr(frame, f.name) for frame in frames]) for f in fields(MeasuredProfile)})
 
     def rows(self, first: int, last: int) -> Lattice:
         """Frames ``first`` to ``last`` - 1."""

@@ -109,7 +109,7 @@ def fit_patch(
 
 
 @compiled
-def see_surfaces(
+def fit_patches(
     points: Array, view: Array, moved: Array, sheet: Array, camera: Array, sigma: Array, light: Array,
     stride: tuple[int, int], first: int, last: int, patches: Array, fitted: Bools, own: float, table: Array,
 ) -> None:  # fmt: skip

@@ -123,7 +123,7 @@ def slopes(lattice: Lattice, first: int, last: int, *, blur_px: float = math.nan
 
 
 def _surfaces(lattice: Lattice, first: int, last: int, moves: bool) -> Array:
-    """Table of `surface.see_surfaces`: of the point's own patch, wide or narrow, or of one beside it, narrow or wide."""
+    """Table of `surface.fit_patches`: of the point's own patch, wide or narrow, or of one beside it, narrow or wide."""
     frames, lines = lattice.sigma.shape
     table = np.full((last - first, lines, surface.COLUMNS), np.nan)
     if not moves:
@@ -137,7 +137,7 @@ def _surfaces(lattice: Lattice, first: int, last: int, moves: bool) -> Array:
     fitted = [np.zeros((frames, lines), dtype=bool) for _ in strides]
     owns = [(k, 1.0 if k == 0 else 0.5) for k in range(len(strides))]
     for k, own in [*owns, *((k, 0.0) for k in reversed(range(len(strides))))]:
-        surface.see_surfaces(
+        surface.fit_patches(
             lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, glow, strides[k],
             first, last, patches[k], fitted[k], own, table,
         )  # fmt: skip
@@ -192,7 +192,7 @@ def estimate_beam(table: Array, width: Array, tilt: Array, distance: Array, blur
     Parameters
     ----------
     table : (F, L, COLUMNS) array
-        Of `surface.see_surfaces`.
+        Of `surface.fit_patches`.
     width, tilt : (F, L) arrays
         px, of the stripe; px/line, of its course.
     distance : (F, L) array, mm

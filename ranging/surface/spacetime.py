@@ -34,7 +34,7 @@ STEPS = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Exposure:
+class Timeframe:
     """A frame as it was taken, and what is needed to follow points through it."""
 
     image: Image  # (rows, columns) the stripe's channel
@@ -56,14 +56,14 @@ class Passages:
 
 
 def follow_points(
-    lattice: Lattice, exposures: Sequence[Exposure | None], wanted: Bools, width: Array, first: int, last: int
+    lattice: Lattice, timeframes: Sequence[Timeframe | None], wanted: Bools, width: Array, first: int, last: int
 ) -> Passages:
     """Follow points of frames ``first`` to ``last`` - 1 of a lattice through the frames about them.
 
     Parameters
     ----------
     lattice : Lattice
-    exposures : sequence of Exposure
+    timeframes : sequence of Timeframe
         One a frame of the lattice; None where it is not held: it is not looked at then.
     wanted : (n, L) array
         Points to follow, of the frames asked for.
@@ -83,14 +83,14 @@ def follow_points(
     slots = 2 * REACH + 1
     for f in range(first, last):
         row = f - first
-        own = exposures[f]
+        own = timeframes[f]
         lines = np.flatnonzero(wanted[row] & np.isfinite(lattice.sigma[f]) & np.isfinite(width[row]))
         if own is None or len(lines) == 0:
             continue
         seen = np.full((3, len(lines), slots), np.nan)  # distance of the sheet, light, variance a unit of noise
         for slot in range(slots):
             g = f + slot - REACH
-            other = exposures[g] if 0 <= g < len(exposures) else None
+            other = timeframes[g] if 0 <= g < len(timeframes) else None
             if other is not None and other.image.shape == own.image.shape:
                 _watch(lattice, f, own, other, lines, seen[:, :, slot])
         noise = lattice.noise[f]
@@ -103,7 +103,7 @@ def follow_points(
     return Passages(offset, sigma, misfit)
 
 
-def _watch(lattice: Lattice, f: int, own: Exposure, other: Exposure, lines: Ints, seen: Array) -> None:
+def _watch(lattice: Lattice, f: int, own: Timeframe, other: Timeframe, lines: Ints, seen: Array) -> None:
     turn = own.cloud_from_c.rotation @ other.cloud_from_c.rotation.T
     image = other.image
     rows, columns = image.shape

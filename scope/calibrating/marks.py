@@ -17,7 +17,7 @@ Rejected = tuple[float, float, str]  # u, v in px, and why
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenPlane:
+class MeasuredPlane:
     """The marks of one plane, and what its images were like."""
 
     plan: PlanePlan
@@ -51,7 +51,7 @@ class _Found:
     mirrored: bool = False
 
 
-def see_plane(plan: CalibrationPlan, plane: PlanePlan) -> SeenPlane:
+def measure_plane(plan: CalibrationPlan, plane: PlanePlan) -> MeasuredPlane:
     """Read a plane's images and find its marks.
 
     Raises
@@ -75,7 +75,7 @@ def see_plane(plan: CalibrationPlan, plane: PlanePlan) -> SeenPlane:
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
     repeat, noise = _repeats(plan, plane, images, found)
-    return SeenPlane(
+    return MeasuredPlane(
         plane, marks, found.found, expected, found.rejected, _median(found.diameter), _median(found.contrast),
         _median(found.blur), 0.0 if found.saturated is None else float((found.saturated > 0.1).mean()), repeat, noise,
         found.mirrored, shift, mean, (width, height),

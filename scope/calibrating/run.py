@@ -16,7 +16,7 @@ from calibration.rig import AnyCamera, Rig, sha256_of
 from calibration.sheet import Laser
 from calibration.stages import Stage
 from scope.calibrating.lasers import LaserView, find_lasers
-from scope.calibrating.marks import SeenPlane, see_plane
+from scope.calibrating.marks import MeasuredPlane, measure_plane
 from scope.calibrating.stages import find_stages
 from scope.calibrating.verdict import Dropped, Verdict, judge_freehand, judge_jig
 from scope.session import CalibrationPlan, read_calibration
@@ -32,7 +32,7 @@ class Calibration:
 
     rig: Rig
     plan: CalibrationPlan
-    planes: tuple[SeenPlane, ...]
+    planes: tuple[MeasuredPlane, ...]
     two_plane: TwoPlaneFit | None
     freehand: FreehandFit | None
     views: tuple[LaserView, ...]
@@ -71,11 +71,11 @@ def calibrate(
     plan = read_calibration(Path(path))
     _check_model(plan, model)
     on_jig = any(plane.c_from_target is not None for plane in plan.planes)
-    seen: list[SeenPlane] = []
+    seen: list[MeasuredPlane] = []
     dropped: list[Dropped] = []  # views by hand: the others may do without them
     for k, plane in enumerate(plan.planes):
         try:
-            seen.append(see_plane(plan, plane))
+            seen.append(measure_plane(plan, plane))
         except CalibrationError as error:
             if on_jig:
                 raise
@@ -103,7 +103,7 @@ def _check_model(plan: CalibrationPlan, model: Model) -> None:
         )
 
 
-def _one_size(plan: CalibrationPlan, seen: list[SeenPlane]) -> tuple[int, int]:
+def _one_size(plan: CalibrationPlan, seen: list[MeasuredPlane]) -> tuple[int, int]:
     for other in seen[1:]:
         if other.size != seen[0].size:
             raise FileError(
@@ -115,7 +115,7 @@ def _one_size(plan: CalibrationPlan, seen: list[SeenPlane]) -> tuple[int, int]:
 
 def _finish_jig(
     plan: CalibrationPlan,
-    seen: list[SeenPlane],
+    seen: list[MeasuredPlane],
     jig: list[PlaneMarks],
     size: tuple[int, int],
     model: Model,
@@ -133,7 +133,7 @@ def _finish_jig(
     return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, fit, None)
 
 
-def _located(plan: CalibrationPlan, camera: AnyCamera, seen: SeenPlane) -> PlaneMarks:
+def _located(plan: CalibrationPlan, camera: AnyCamera, seen: MeasuredPlane) -> PlaneMarks:
     try:
         return locate_target(camera, seen.marks)
     except CalibrationError as error:
@@ -141,7 +141,7 @@ def _located(plan: CalibrationPlan, camera: AnyCamera, seen: SeenPlane) -> Plane
 
 
 def _finish_freehand(
-    plan: CalibrationPlan, seen: list[SeenPlane], dropped: list[Dropped], size: tuple[int, int]
+    plan: CalibrationPlan, seen: list[MeasuredPlane], dropped: list[Dropped], size: tuple[int, int]
 ) -> Calibration:
     try:
         fit = fit_freehand([s.marks for s in seen], size, dropped=dropped)
@@ -156,7 +156,7 @@ def _finish_freehand(
 
 
 def _calibration(
-    plan: CalibrationPlan, seen: list[SeenPlane], camera: AnyCamera, lasers: dict[str, Laser], views: tuple[LaserView, ...],
+    plan: CalibrationPlan, seen: list[MeasuredPlane], camera: AnyCamera, lasers: dict[str, Laser], views: tuple[LaserView, ...],
     stages: tuple[Stage, ...], verdict: Verdict, two_plane: TwoPlaneFit | None, freehand: FreehandFit | None,
 ) -> Calibration:  # fmt: skip
     folder = plan.path.parent.resolve()

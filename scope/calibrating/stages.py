@@ -9,7 +9,7 @@ from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array, Ints
 from calibration.rays import PlaneMarks, centre_covariance, locate_target
 from calibration.stages import Stage, fit_linear, fit_turntable
-from scope.calibrating.marks import see_plane
+from scope.calibrating.marks import measure_plane
 from scope.session import CalibrationPlan, PlanePlan, StagePlan
 
 
@@ -27,7 +27,7 @@ def _find(plan: CalibrationPlan, camera: Camera, stage: StagePlan, number: int) 
     views: list[PlaneMarks] = []
     for position, image in zip(stage.positions, stage.images, strict=True):
         name = f"stage {number} at {position:g}"
-        view = see_plane(plan, PlanePlan(name, (image,), None, {}, {}, None, None))
+        view = measure_plane(plan, PlanePlan(name, (image,), None, {}, {}, None, None))
         if view.size != camera.size:
             raise FileError(
                 f"{image}: stage {number}: {view.size[0]} x {view.size[1]} px; the planes were seen at {camera.size[0]} x "

@@ -25,7 +25,7 @@ from calibration.verification import (
     intraplane,
     leave_views_out,
 )
-from scope.calibrating.marks import SeenPlane
+from scope.calibrating.marks import MeasuredPlane
 from scope.session import CalibrationPlan
 
 Dropped: TypeAlias = tuple[str, str]  # a view held by hand that was left out, and why
@@ -49,7 +49,7 @@ class Verdict:
 
 def judge_jig(
     plan: CalibrationPlan,
-    seen: list[SeenPlane],
+    seen: list[MeasuredPlane],
     fit: TwoPlaneFit,
     lasers: dict[str, Laser],
     stages: tuple[Stage, ...],
@@ -100,7 +100,7 @@ def judge_jig(
 
 def judge_freehand(
     plan: CalibrationPlan,
-    seen: list[SeenPlane],
+    seen: list[MeasuredPlane],
     fit: FreehandFit,
     lasers: dict[str, Laser],
     stages: tuple[Stage, ...],
@@ -138,7 +138,7 @@ def _mean(values: Array) -> float:
     return float(known.mean()) if len(known) else NAN
 
 
-def _row(seen: SeenPlane, held: HeldOut | None = None, **figures: float) -> dict[str, Any]:
+def _row(seen: MeasuredPlane, held: HeldOut | None = None, **figures: float) -> dict[str, Any]:
     """What is told of one plane; null what is not known of it."""
     jig = seen.plan.c_from_target is not None  # a view by hand has no place of its own to be off
     names = ("used", "fit_px", "fit_px_mean", "fit_mm", "loo_px", "loo_mm", "placement_px")
@@ -154,7 +154,7 @@ def _row(seen: SeenPlane, held: HeldOut | None = None, **figures: float) -> dict
     }
 
 
-def _named(plan: CalibrationPlan, fit: TwoPlaneFit, seen: list[SeenPlane]) -> list[dict[str, Any]]:
+def _named(plan: CalibrationPlan, fit: TwoPlaneFit, seen: list[MeasuredPlane]) -> list[dict[str, Any]]:
     """Faults that the planes show against each other; ``remedy`` is a whole sentence that names plane, fault, size and what to do.
 
     Planes that are seen mirrored have their fault already and are left out.
@@ -194,7 +194,7 @@ def mirrored_fault(plane: str) -> dict[str, Any]:
     return fault_content(Fault(plane, "labelling", NAN, NAN, "", (), None, None, remedy))
 
 
-def _moved(seen: list[SeenPlane]) -> list[dict[str, Any]]:
+def _moved(seen: list[MeasuredPlane]) -> list[dict[str, Any]]:
     """Return a fault ``moved`` for every plane whose marks shift between repeats by more than their noise explains."""
     faults = []
     for s in seen:
@@ -216,7 +216,7 @@ def _moved(seen: list[SeenPlane]) -> list[dict[str, Any]]:
 
 def _verdict(
     plan: CalibrationPlan,
-    seen: list[SeenPlane],
+    seen: list[MeasuredPlane],
     rows: list[dict[str, Any]],
     lasers: dict[str, Laser],
     interplane_px: float,
@@ -242,7 +242,7 @@ def _verdict(
     return Verdict(Verification(passed, why, tuple(faults), tuple(rows), interplane_px), content)
 
 
-def _beyond(plan: CalibrationPlan, seen: list[SeenPlane], lasers: dict[str, Laser], ray_mm: float) -> list[str]:
+def _beyond(plan: CalibrationPlan, seen: list[MeasuredPlane], lasers: dict[str, Laser], ray_mm: float) -> list[str]:
     """Limits of [accept] that do not hold, or could not be tested."""
     failed = []
     limit = plan.accept.get("ray_mm")

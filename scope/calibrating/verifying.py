@@ -11,7 +11,7 @@ from calibration.errors import CalibrationError, FileError
 from calibration.rays import TwoPlaneCamera, locate_target
 from calibration.rig import Rig
 from calibration.verification import HeldOut, against, faults_against
-from scope.calibrating.marks import SeenPlane, see_plane
+from scope.calibrating.marks import MeasuredPlane, measure_plane
 from scope.calibrating.verdict import fault_content, lattice_of, mirrored_fault
 from scope.session import CalibrationPlan, PlanePlan, read_calibration
 
@@ -51,7 +51,7 @@ def verify(rig_path: str | Path, other: str | Path | None = None) -> dict[str, A
     plan = read_calibration(Path(other))
     rows, jig, faults = [], [], []
     for plane in plan.planes:
-        seen = see_plane(plan, plane)
+        seen = measure_plane(plan, plane)
         if seen.size != rig.camera.size:
             raise FileError(
                 f"{plan.path}: plane {plane.name}: images of {seen.size[0]} x {seen.size[1]} px; the rig was calibrated at "
@@ -147,7 +147,7 @@ def _expected(plan: CalibrationPlan, plane: PlanePlan) -> int | None:
 def _checked(plan: CalibrationPlan, plane: PlanePlan) -> dict[str, Any]:
     from calibration.rays import fit_plane_map
 
-    seen = see_plane(plan, plane)
+    seen = measure_plane(plan, plane)
     fit = fit_plane_map(seen.marks, tilted=True)
     blurred = bool(seen.blur_px > BLURRED * seen.diameter_px) if np.isfinite(seen.blur_px) else False
     moved = bool(
@@ -175,7 +175,7 @@ def _checked(plan: CalibrationPlan, plane: PlanePlan) -> dict[str, Any]:
     }
 
 
-def _remedy(seen: SeenPlane, *, blurred: bool, moved: bool) -> str:
+def _remedy(seen: MeasuredPlane, *, blurred: bool, moved: bool) -> str:
     advice = []
     if seen.mirrored:
         advice.append("the target is seen mirrored: turn its front to the camera, or correct `fiducials`")

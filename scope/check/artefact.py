@@ -13,7 +13,7 @@ from calibration.geometry import Array, Bools, rotation_from_quaternion
 from scope.check.shapes import CUT, LEAST, Shape, find_cylinder, find_sphere, fit_levels, fit_shape
 from scope.cloud import Region, ScanCloud
 from scope.errors import MeasurementError
-from scope.pose import eyes, largest_plane, normals_of, shared_errors, sheet_and_window, thin
+from scope.pose import largest_plane, normals_of, shared_errors, sheet_and_window, thin, viewpoints
 
 Kind = Literal["sphere", "plane", "cylinder", "steps", "mesh"]
 
@@ -165,7 +165,7 @@ def check_repeats(
 
 def _rays(cloud: ScanCloud) -> tuple[Array | None, Array | None]:
     """Camera (N, 3) mm and unit sighting ray (N, 3) of each point; None where the cloud does not tell."""
-    camera, _ = eyes(cloud, np.arange(len(cloud)))
+    camera, _ = viewpoints(cloud, np.arange(len(cloud)))
     if camera is None:
         return None, None
     ray = cloud.points - camera

@@ -6,7 +6,7 @@ from scope.pose.placed import Placed, frame_of, place, read_transform, write_dev
 from scope.pose.search import normals_of, thin
 from scope.pose.segmentation import largest_plane
 from scope.pose.uncertainty import patches, shared_errors
-from scope.pose.visibility import eyes, sheet_and_window
+from scope.pose.visibility import sheet_and_window, viewpoints
 from scope.pose.wording import CONVENTION, pose_result, pose_text
 
 __all__ = [
@@ -14,7 +14,6 @@ __all__ = [
     "Placed",
     "PoseResult",
     "estimate_pose",
-    "eyes",
     "frame_of",
     "largest_plane",
     "normals_of",
@@ -26,5 +25,6 @@ __all__ = [
     "shared_errors",
     "sheet_and_window",
     "thin",
+    "viewpoints",
     "write_deviation",
 ]

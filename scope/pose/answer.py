@@ -18,7 +18,7 @@ class PoseOptions:
     tolerance: float = 0.05  # mm, one sigma: by how much the part may differ from its mesh, when poses are compared
     form: float = 0.01  # mm, one sigma: no residual is known better than this, when a pose is refined
     starts: int = 800  # orientations tried
-    candidates: int = 10  # poses weighed against each other
+    candidates: int = 10  # poses rated against each other
     least_explained: float = 0.75  # share of the points that must lie on the model (a clamp may hide and add some)
     least_covered: float = 0.75  # share of the surface that should have been seen and was
     most_blocked: float = 0.05  # share of the points seen through the model
@@ -27,7 +27,7 @@ class PoseOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One pose that was weighed."""
+    """One pose that was rated."""
 
     cloud_from_model: Pose
     explained: float  # share of the points that lie on the model

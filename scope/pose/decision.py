@@ -9,7 +9,7 @@ import numpy as np
 from calibration.geometry import Array, Bools, Pose
 from scope.model import Model, Surface, angle_between, passes
 from scope.pose.search import View
-from scope.pose.visibility import Light
+from scope.pose.visibility import Visibility
 
 CAP = 8.0  # nats: a point that the model does not explain
 BLOCKED = 12.0  # nats: a point that camera or laser could not have reached through the model
@@ -17,15 +17,15 @@ MISSING = 3.0  # nats: surface that both should have seen and no point lies on; 
 MARGIN = 30.0  # nats between a pose and its runner-up
 GRAZE = 0.15  # spacings of the thinned scan: how deep a line of sight must lead into the model to be blocked by it
 STEP = 0.01  # spacings behind the first crossing, where the next one is looked for
-SPEAKS = 2.0  # nats: what a single point or sample must say to be heard in this
+LEAST_NATS = 2.0  # nats: what a single point or sample must say to be heard in this
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class Likelihood:
     """What a scan says of one pose."""
 
     pose: Pose  # cloud_from_model
-    point_cost: Array  # (N + W,) nats, of the scan's points and of the witnesses
+    point_cost: Array  # (N + W,) nats, of the scan's points and of the background
     sample_cost: Array  # (S,) nats, of the model's samples
     explained: float  # share of the points that lie on the model
     blocked: float  # share of the points seen through the model
@@ -38,18 +38,18 @@ class Evidence:
         return float(self.point_cost.sum() + self.sample_cost.sum())
 
 
-def weigh(
+def log_likelihood(
     model: Model,
     surface: Surface,
     pose: Pose,
     view: View,
     sigma: Array,
-    light: Light | None,
-    witnesses: View | None = None,
+    visibility: Visibility | None,
+    background: View | None = None,
     *,
     tolerance: float,
     spacing: float,
-) -> Evidence:
+) -> Likelihood:
     """Two-way evidence for a pose.
 
     Parameters
@@ -62,9 +62,9 @@ def weigh(
         The thinned scan of the part.
     sigma : (N,) mm
         Of its points.
-    light : Light, optional
+    visibility : Visibility, optional
         What camera and laser could see; without it, only the points speak.
-    witnesses : View, optional
+    background : View, optional
         Points of other things: they need not lie on the model, but must not be seen through it.
     tolerance : float
         By how much the part may differ from its mesh, mm, one standard deviation.
@@ -82,20 +82,20 @@ def weigh(
     cost[blocked] = BLOCKED
     explained = float(((gap**2 < 16 * variance) & ~blocked).mean())
     through = float(blocked.mean())
-    if witnesses is not None:
-        denied = _seen_through(model, inverse, witnesses, 0.5 * spacing)
+    if background is not None:
+        denied = _seen_through(model, inverse, background, 0.5 * spacing)
         cost = np.concatenate([cost, np.where(denied, BLOCKED, 0.0)])
         through += float(denied.sum()) / len(local)
     sample_cost, covered, expected = np.zeros(len(model.samples)), float("nan"), 0
-    if light is not None:
+    if visibility is not None:
         foreign = view.points[(gap > 2.0 * spacing) & ~blocked]
-        wanted = light.expected(surface, pose, model.samples, model.normals, foreign)
-        there = light.covered(pose.apply(model.samples[wanted]))
+        wanted = visibility.expected(surface, pose, model.samples, model.normals, foreign)
+        there = visibility.covered(pose.apply(model.samples[wanted]))
         area = area_of(model) / len(model.samples)
         sample_cost[wanted] = np.where(there, 0.0, MISSING * min(area / spacing**2, 1.0))
         expected = int(wanted.sum())
         covered = float(there.mean()) if expected else 0.0
-    return Evidence(pose, cost, sample_cost, explained, through, covered, expected)
+    return Likelihood(pose, cost, sample_cost, explained, through, covered, expected)
 
 
 def lines_blocked(surface: Surface, inverse: Pose, view: View, spacing: float) -> Bools:
@@ -143,7 +143,7 @@ def area_of(model: Model) -> float:
     return float(np.linalg.norm(cross, axis=1).sum() / 2)
 
 
-def margin(best: Evidence, other: Evidence) -> tuple[float, bool]:
+def margin(best: Likelihood, other: Likelihood) -> tuple[float, bool]:
     """Nats by which ``best`` is better than ``other``, and whether that decides between them.
 
     It does where the gain is large and what speaks for the other is less than half of what speaks against it. Single
@@ -151,7 +151,7 @@ def margin(best: Evidence, other: Evidence) -> tuple[float, bool]:
     """
     gain = np.concatenate([other.point_cost - best.point_cost, other.sample_cost - best.sample_cost])
     total = float(gain.sum())
-    pro, contra = float(gain[gain > SPEAKS].sum()), float(-gain[gain < -SPEAKS].sum())
+    pro, contra = float(gain[gain > LEAST_NATS].sum()), float(-gain[gain < -LEAST_NATS].sum())
     return total, total > MARGIN and pro - contra > MARGIN and contra < 0.5 * pro
 
 

@@ -1,4 +1,4 @@
-"""The pose of the part in one piece of a scan: search, refine, weigh, decide."""
+"""The pose of the part in one piece of a scan: search, refine, log_likelihood, decide."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from scope.cloud import ScanCloud
 from scope.model import Model, Surface, distinct, evaluate, refine
 from scope.pose import segmentation
 from scope.pose.answer import LEAST_SHOWN, Candidate, PoseOptions, PoseResult
-from scope.pose.decision import CAP, MISSING, Evidence, area_of, margin, same_answer, weigh, what_differs
-from scope.pose.hold import REACH, hold
+from scope.pose.borders import REACH, settle_by_borders
+from scope.pose.decision import CAP, MISSING, Likelihood, area_of, log_likelihood, margin, same_answer, what_differs
 from scope.pose.rim import settle_by_rim
 from scope.pose.search import View, normals_of, polish, search, thin
 from scope.pose.uncertainty import Uncertainty, shared_errors, uncertainty
-from scope.pose.visibility import Light, eyes, light_of
+from scope.pose.visibility import Visibility, viewpoints, visibility_of
 
 CLEAR_EXPLAINED = 0.9  # share of the points, above which a first search is not repeated with more starts
 CLEAR_COVERED = 0.95
@@ -31,7 +31,7 @@ def locate(
             model, rows,
             f"the piece of the scan is {size:.0f} mm across and the part {model.diameter:.0f} mm; give the region of the part",
         )  # fmt: skip
-    camera, laser = eyes(cloud, rows)
+    camera, laser = viewpoints(cloud, rows)
     spacing = model.diameter / 100
     chosen = thin(points, spacing)
     shown, whole = len(chosen) * spacing**2, area_of(model)
@@ -51,24 +51,26 @@ def locate(
         others = others[segmentation.crowded(cloud.points[others], 2 * spacing)]
     if len(others):
         others = others[thin(cloud.points[others], 2 * spacing)]
-    witnesses = None
+    background = None
     if len(others) and camera is not None:
-        far_camera, far_laser = eyes(cloud, others)
-        witnesses = View(cloud.points[others], np.zeros((len(others), 3)), far_camera, far_laser)
-    light = light_of(cloud, cloud.points[others], voxel=1.5 * spacing)
+        far_camera, far_laser = viewpoints(cloud, others)
+        background = View(cloud.points[others], np.zeros((len(others), 3)), far_camera, far_laser)
+    visibility = visibility_of(cloud, cloud.points[others], voxel=1.5 * spacing)
     uncovered = (
-        None if light is None else lambda pose: light.uncovered(surface, pose, model.samples[::40], model.normals[::40])
+        None
+        if visibility is None
+        else lambda pose: visibility.uncovered(surface, pose, model.samples[::40], model.normals[::40])
     )
-    weighed: list[Evidence] = []
+    rated: list[Likelihood] = []
     for starts, keep, spread in ((options.starts, 40, 0.0), (4 * options.starts, 120, 0.15)):
         poses, cost = search(model, view, starts=starts, keep=keep, spread=spread, uncovered=uncovered)
         poses, cost = _with_likenesses(model, view, poses, cost, initial)
-        found = _weigh_all(model, surface, view, sigma[chosen], light, witnesses, poses, options, spacing)
-        if not weighed or found[0].cost < weighed[0].cost:
-            weighed = found
-        if weighed[0].explained >= CLEAR_EXPLAINED and not weighed[0].covered < CLEAR_COVERED:
+        found = _log_likelihoods(model, surface, view, sigma[chosen], visibility, background, poses, options, spacing)
+        if not rated or found[0].cost < rated[0].cost:
+            rated = found
+        if rated[0].explained >= CLEAR_EXPLAINED and not rated[0].covered < CLEAR_COVERED:
             break  # else look harder, before saying no and before believing a pose that leaves much unexplained
-    return _decide(cloud, rows, model, surface, weighed, sigma, camera, light, options)
+    return _decide(cloud, rows, model, surface, rated, sigma, camera, visibility, options)
 
 
 def _refused(model: Model, rows: Ints, why: str) -> PoseResult:
@@ -102,18 +104,18 @@ def _with_likenesses(
     return [everything[i] for i in kept], total[kept]
 
 
-def _weigh_all(
+def _log_likelihoods(
     model: Model,
     surface: Surface,
     view: View,
     sigma: Array,
-    light: Light | None,
-    witnesses: View | None,
+    visibility: Visibility | None,
+    background: View | None,
     poses: list[Pose],
     options: PoseOptions,
     spacing: float,
-) -> list[Evidence]:
-    """Refined and weighed candidates, best first.
+) -> list[Likelihood]:
+    """Refined and rated candidates, best first.
 
     A quick look on the distance grid leaves out those that are far behind; the rest are refined on the mesh.
     """
@@ -125,14 +127,14 @@ def _weigh_all(
         quick.append(float(np.minimum(gap**2 / (2 * variance), CAP).sum()))
     order = np.argsort(quick)
     near = [k for n, k in enumerate(order) if n < 3 or quick[k] < quick[order[0]] + 0.15 * CAP * len(sigma)]
-    if light is not None and len(near) > options.candidates:
+    if visibility is not None and len(near) > options.candidates:
         samples, normals = model.samples[::18], model.normals[::18]
-        missing = [len(sigma) * light.uncovered(surface, poses[k], samples, normals) for k in near]
+        missing = [len(sigma) * visibility.uncovered(surface, poses[k], samples, normals) for k in near]
         near = [near[i] for i in np.argsort([quick[k] + MISSING * m for k, m in zip(near, missing, strict=True)])]
     few = slice(0, 2500)
     camera = None if view.camera is None else view.camera[few]
     reach = (0.01 * d, 0.008 * d, 0.006 * d, 0.005 * d, max(1.0, 0.003 * d), max(1.0, 0.003 * d))
-    done: list[Evidence] = []
+    done: list[Likelihood] = []
     hopeless = quick[order[0]] > 0.7 * CAP * len(sigma)
     for k in near[: 2 if hopeless else options.candidates]:
         fit = refine(
@@ -140,7 +142,9 @@ def _weigh_all(
         )
         if not any(same_answer(model, fit.pose, e.pose, turn=0.004, shift=0.002 * d) for e in done):
             done.append(
-                weigh(model, surface, fit.pose, view, sigma, light, witnesses, tolerance=tolerance, spacing=spacing)
+                log_likelihood(
+                    model, surface, fit.pose, view, sigma, visibility, background, tolerance=tolerance, spacing=spacing
+                )
             )
     return sorted(done, key=lambda e: e.cost)
 
@@ -150,34 +154,36 @@ def _decide(
     rows: Ints,
     model: Model,
     surface: Surface,
-    weighed: list[Evidence],
+    rated: list[Likelihood],
     sigma: Array,
     camera: Array | None,
-    light: Light | None,
+    visibility: Visibility | None,
     options: PoseOptions,
 ) -> PoseResult:
-    best = weighed[0]
-    candidates = tuple(Candidate(e.pose, e.explained, e.blocked, e.covered, e.cost - best.cost) for e in weighed)
+    best = rated[0]
+    candidates = tuple(Candidate(e.pose, e.explained, e.blocked, e.covered, e.cost - best.cost) for e in rated)
     points = cloud.points[rows]
     reach = max(10 * float(np.median(sigma)), 0.5)
     fit = refine(surface, best.pose, points, sigma, camera, reach=(reach,) * 2, floor=options.form)
     shared_sigma = cloud.sigma_cal[rows].astype(np.float64)
     parameters = None
-    if light is not None and light.sheet is not None and camera is not None:
-        normal = light.camera_from_cloud[0].rotation.T @ light.sheet.normal
+    if visibility is not None and visibility.sheet is not None and camera is not None:
+        normal = visibility.camera_from_cloud[0].rotation.T @ visibility.sheet.normal
         parameters = shared_errors(points, camera, normal, shared_sigma)
     middle = fit.pose.apply(model.centre)
     known = uncertainty(fit, points, camera, shared_sigma, parameters, centre=middle, radius=model.diameter / 2)
     misfit = _misfit(best, options)
-    score, rival = _runner_up(model, weighed)
+    score, rival = _runner_up(model, rated)
     borders = ""
     sliding = _but_axis(model, fit.pose, known.loose_motions, middle)
     if not misfit and rival is None and len(sliding):
         local = fit.pose.inverse.apply(points)
         near = np.linalg.norm(surface.nearest(local)[0] - local, axis=1) < 1.5 * REACH
-        settled = hold(surface, fit.pose, sliding, points[near], sigma[near], middle, model.diameter / 2)
-        if settled is None and light is not None:
-            settled = settle_by_rim(surface, model, fit.pose, sliding, points[near], light, middle, model.diameter / 2)
+        settled = settle_by_borders(surface, fit.pose, sliding, points[near], sigma[near], middle, model.diameter / 2)
+        if settled is None and visibility is not None:
+            settled = settle_by_rim(
+                surface, model, fit.pose, sliding, points[near], visibility, middle, model.diameter / 2
+            )
         if settled is not None:
             borders = "; faces that slide in themselves were placed by their borders"
             rows_held = sliding / settled[1][:, None]
@@ -218,7 +224,7 @@ def _decide(
     )
 
 
-def _misfit(best: Evidence, options: PoseOptions) -> str:
+def _misfit(best: Likelihood, options: PoseOptions) -> str:
     """Why the best pose is no pose of this part; empty where it fits."""
     for share, limit, sign, what in (
         (best.explained, options.least_explained, 1, "of the points lie on the model"),
@@ -234,10 +240,10 @@ def _misfit(best: Evidence, options: PoseOptions) -> str:
     return ""
 
 
-def _runner_up(model: Model, weighed: list[Evidence]) -> tuple[float, Evidence | None]:
+def _runner_up(model: Model, rated: list[Likelihood]) -> tuple[float, Likelihood | None]:
     """Nats to the nearest other pose (inf without one), and the pose itself where they do not decide."""
-    best, score = weighed[0], float("inf")
-    for other in weighed[1:]:
+    best, score = rated[0], float("inf")
+    for other in rated[1:]:
         if same_answer(model, best.pose, other.pose, turn=0.01, shift=0.004 * model.diameter):
             continue
         gain, sure = margin(best, other)

@@ -6,8 +6,8 @@ import numpy as np
 
 from calibration.geometry import Array, Pose
 from scope.model import Model, Surface
-from scope.pose.hold import REACH, mixtures, move
-from scope.pose.visibility import Light
+from scope.pose.borders import REACH, mixtures, move
+from scope.pose.visibility import Visibility
 
 WIDTH = 1.5  # mm from a sharp edge: the rim of a face
 FAR = 1.0  # mm: a place further than this from all points tells nothing
@@ -24,14 +24,14 @@ def settle_by_rim(
     pose: Pose,
     motions: Array,
     points: Array,
-    light: Light,
+    visibility: Visibility,
     centre: Array,
     radius: float,
 ) -> tuple[Pose, Array] | None:
     """Settle loose motions by the gaps between the rims of the part's visible faces and the points of the scan.
 
     A stripe is lost or cut on the last tenths of a millimetre before an edge, on all sides about alike: in the right place the
-    gaps are least. Less sure than `scope.pose.hold`, which asks that no point hangs over, but not deceived by the
+    gaps are least. Less sure than `scope.pose.borders`, which asks that no point hangs over, but not deceived by the
     loss itself.
 
     Parameters
@@ -42,7 +42,7 @@ def settle_by_rim(
         Unit motions that point-to-plane alignment leaves loose, three at most.
     points : (N, 3)
         The scan of the part, mm.
-    light : Light
+    visibility : Visibility
         Tells which rims camera and laser should have seen.
     centre, radius : (3,) mm, mm
         What the motions are measured about.
@@ -63,7 +63,7 @@ def settle_by_rim(
     spread = np.zeros(len(motions))
     gap = np.zeros(0)
     for _ in range(2):
-        wanted = light.expected(surface, pose, model.samples[close], model.normals[close], np.zeros((0, 3)))
+        wanted = visibility.expected(surface, pose, model.samples[close], model.normals[close], np.zeros((0, 3)))
         rim = model.samples[close[wanted]]
         if len(rim) < LEAST:
             return None

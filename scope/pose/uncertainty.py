@@ -53,7 +53,7 @@ def uncertainty(
         Middle of the part in the cloud and half its diameter: a turn is judged by what it moves there.
     held : (L, 6), optional
         Further rows of the linear system in these units, each divided by its standard deviation (mm): motions that the
-        borders of the surface stop (`scope.pose.hold`).
+        borders of the surface stop (`scope.pose.borders`).
 
     Notes
     -----
@@ -106,7 +106,7 @@ def uncertainty(
 
 
 def shared_errors(points: Array, camera: Array, normal: Array, sigma_cal: Array) -> Array | None:
-    """Movement along the ray (N, 3) for three independent unit errors of the sheet of light, from ``sigma_cal`` (N,).
+    """Movement along the ray (N, 3) for three independent unit errors of the sheet of visibility, from ``sigma_cal`` (N,).
 
     A sheet with normal ``normal`` that errs in its offset and two tilts moves the point q along its ray d by
     (1, a, b) . theta / (n . d), with a, b the place of q in the sheet. The covariance of theta is found from the

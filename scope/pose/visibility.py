@@ -15,7 +15,7 @@ LEAST_COSINE = 0.3  # surface at a greater slant to camera or laser is not count
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Light:
+class Visibility:
     """A scan's geometry, made once for all candidates."""
 
     camera: Array  # (M, 3) mm, one row a frame used, cloud frame
@@ -100,7 +100,7 @@ class Light:
         return hidden(full, low, self.voxel, start, end)
 
 
-def eyes(cloud: ScanCloud, rows: Ints) -> tuple[Array | None, Array | None]:
+def viewpoints(cloud: ScanCloud, rows: Ints) -> tuple[Array | None, Array | None]:
     """Camera and laser (N, 3) of each point; None where the cloud does not tell."""
     sensors = cloud.sensors
     if sensors is None or len(sensors) == 0:
@@ -116,7 +116,7 @@ def eyes(cloud: ScanCloud, rows: Ints) -> tuple[Array | None, Array | None]:
     return sensors.centre[found], laser if np.isfinite(laser).all() else None
 
 
-def light_of(cloud: ScanCloud, others: Array, *, voxel: float, rows: int = 32) -> Light | None:
+def visibility_of(cloud: ScanCloud, others: Array, *, voxel: float, rows: int = 32) -> Visibility | None:
     """The geometry of a scan; None where the cloud does not say where its camera was.
 
     Parameters
@@ -149,7 +149,7 @@ def light_of(cloud: ScanCloud, others: Array, *, voxel: float, rows: int = 32) -
     sheet, window = sheet_and_window(cloud, first)
     row_of_frame = np.zeros(int(max(sensors.frame.max(), cloud.frame.max())) + 1, dtype=np.int64)
     row_of_frame[:] = np.argmin(np.abs(sensors.frame[chosen][None, :] - np.arange(len(row_of_frame))[:, None]), axis=1)
-    return Light(
+    return Visibility(
         sensors.centre[chosen],
         sensors.laser_origin[chosen],
         tuple(poses),

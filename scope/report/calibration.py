@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.rays import TwoPlaneFit, normal_equations, ray_uncertainty
 from calibration.verification import block_image
-from scope.calibrating import Calibration, SeenPlane
+from scope.calibrating import Calibration, MeasuredPlane
 from scope.report import pictures
 from scope.report.page import Page
 
@@ -295,7 +295,7 @@ def _add_lasers(page: Page, found: Calibration) -> None:
             )
 
 
-def _add_marks(page: Page, seen: SeenPlane) -> None:
+def _add_marks(page: Page, seen: MeasuredPlane) -> None:
     origin = np.flatnonzero(seen.marks.mark == 0)
     picture = pictures.with_marks(
         seen.image, seen.marks.pixels, [(u, v) for u, v, _ in seen.rejected], int(origin[0]) if len(origin) else None

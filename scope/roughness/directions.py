@@ -10,10 +10,10 @@ import numpy as np
 from calibration.geometry import Array
 from scope.errors import MeasurementError
 from scope.heightmap import HeightMap
-from scope.roughness.chance import few
 from scope.roughness.noise import Noise, added_noise
 from scope.roughness.profile import SECTIONS, Profiles, profile_parameters, roughness_profiles
 from scope.roughness.profile_noise import SCALED, Direction, Found
+from scope.roughness.sampling import few
 from scope.roughness.table import PROFILE, Parameter
 
 _ANGLES = {"along": 1, "across": 0}
@@ -27,7 +27,7 @@ _SHAPES = frozenset({"Rsk"})  # about zero: a relative change means nothing
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ProfileSettings:
     """What was set and what must be known of the profiles."""
 
     settings: dict[str, str]
@@ -43,7 +43,7 @@ def direction_parameters(
     rng: np.random.Generator,
     slope_reason: str = "",
     with_uncertainty: bool = True,
-) -> tuple[dict[str, dict[str, Parameter]], Told]:
+) -> tuple[dict[str, dict[str, Parameter]], ProfileSettings]:
     """Profile parameters ``along`` the stripe and ``across`` it, each the mean over all profiles of the map.
 
     ``slope_reason`` withholds Rdq for the reason that Sdq was.
@@ -82,7 +82,7 @@ def direction_parameters(
                 f"warning: the profiles {way} the stripe hold {profiles.sections} sections of {profiles.cutoff:g} mm; "
                 f"the standard asks for {SECTIONS}"
             )
-    return tables, Told(settings, cutoffs, tuple(notes))
+    return tables, ProfileSettings(settings, cutoffs, tuple(notes))
 
 
 def _table(
@@ -140,7 +140,7 @@ def _model_error(key: str, one: Found, direction: Direction) -> float:
     not change when they are smoothed further.
     """
     if key == "Rdq":
-        return direction.regain.doubt * one.value if direction.smoothed_slopes() else 0.0
+        return direction.attenuation_of.doubt * one.value if direction.smoothed_slopes() else 0.0
     if key in direction.doubt:
         return _ELEMENT_DOUBT * direction.doubt[key] * one.value
     if key not in SCALED:

@@ -13,20 +13,20 @@ from calibration.geometry import Array, Bools
 from scope.heightmap import SAMPLES_PER_INDEX, HeightMap, Texture, gaussian, texture
 from scope.roughness.abbott import AbbottCurve, core_parameters, percentile_parameters, volume_parameters
 from scope.roughness.areal import developed_area_ratio, gradient_products, height_parameters
-from scope.roughness.noise import Noise, added_noise, calmed
-from scope.roughness.regain import Regain, regain
+from scope.roughness.attenuation import Attenuation, attenuation_of
+from scope.roughness.noise import Noise, added_noise, denoised
 
 LINEAR = (
     "Sa", "Sp", "Sv", "Sz", "Sxp", "Sz99", "Sk", "Spk", "Svk", "Vmp", "Vmc", "Vvv", "Vvc",
 )  # fmt: skip
 SHARES = ("Smr1", "Smr2")
 _DRAWS = 4  # of noise that is added
-_BANDS = 8  # of rows, whose scatter tells how sure the regain of slopes is
+_BANDS = 8  # of rows, whose scatter tells how sure the attenuation_of of slopes is
 _QUIET_SLOPES = 0.5  # noise below this share of the slopes' variance needs no smoothing before it is subtracted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class MeasuredMap:
     """A map of heights and all that is known of its noise, ready to be evaluated as a whole or in part."""
 
     z: Array  # (rows, columns) mm, about zero
@@ -37,14 +37,14 @@ class Evidence:
     slope_noise: Array  # (2,) variance of the slopes that noise predicts, down and along; 0 with a repeat
     slope_index: tuple[float, float]  # nesting index (mm, down and along) of that smoothing, 0 for none
     stripe_width: float = 0.0  # mm, one sigma of the stripe's profile, down the rows; 0 where it is not known
-    slope_regain: Regain = field(default_factory=Regain)  # what the smoothing took from Sdq
+    slope_attenuation: Attenuation = field(default_factory=Attenuation)  # what the smoothing took from Sdq
     answers: Mapping[str, float] = field(default_factory=dict)  # see `answers_to_noise`
     stripe_left: float = 1.0  # share of what that width averages that is still missing in the heights
 
     @classmethod
     def gather(
         cls, heights: HeightMap, noise: Noise, rng: np.random.Generator, *, stripe_width: float = math.nan
-    ) -> Evidence:
+    ) -> MeasuredMap:
         """Put together a map and its noise (see `Noise`).
 
         Where noise makes more than half of the slopes' variance they are taken behind a Gaussian S-filter of three
@@ -80,17 +80,17 @@ class Evidence:
             stripe_width=0.0 if math.isnan(stripe_width) or noise.source == "unknown" else stripe_width,
             stripe_left=1.0 - heights.stripe_corrected,
         )
-        return replace(made, slope_regain=made.regained())
+        return replace(made, slope_attenuation=made.unattenuated())
 
     def stripe_loss(self, sq: float) -> float:
         """Share of Sq (mm) that a stripe of this width averages away: to first order, width and slope squared over 2 Sq squared."""
         slopes = gradient_products(*self.slope_maps, self.pitch) - self.slope_noise
         return 0.5 * self.stripe_width**2 * max(float(slopes[0]), 0.0) / sq**2 if sq > 0.0 else 0.0
 
-    def regained(self) -> Regain:
-        """What the smoothing took from Sdq; see `regain`."""
+    def unattenuated(self) -> Attenuation:
+        """What the smoothing took from Sdq; see `attenuation_of`."""
         if self.slope_index == (0.0, 0.0):
-            return Regain()
+            return Attenuation()
         first, second = self.slope_maps
         more = [_smoothed(values, self.pitch, self.slope_index) for values in (first, second)]
         bands = [slice(*ends) for ends in pairwise(np.linspace(0, len(first), _BANDS + 1).astype(int))]
@@ -99,10 +99,10 @@ class Evidence:
             np.array([(gradient_products(a[band], b[band], self.pitch) - noise).sum() for band in bands])
             for (a, b), noise in (((first, second), self.slope_noise), (more, self.slope_noise / 4.0))
         )
-        return regain(before, after)
+        return attenuation_of(before, after)
 
-    def part(self, keep: Bools) -> Evidence:
-        """Evidence with the heights outside a mask (rows, columns) turned into gaps."""
+    def part(self, keep: Bools) -> MeasuredMap:
+        """MeasuredMap with the heights outside a mask (rows, columns) turned into gaps."""
         first, second = (np.where(keep, values, np.nan) for values in self.slope_maps)
         return replace(
             self,
@@ -138,7 +138,7 @@ def raw_parameters(z: Array, pitch: tuple[float, float]) -> Estimate:
     return Estimate(values, values, found)
 
 
-def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
+def estimate(measured: MeasuredMap, *, with_raw: bool = True) -> Estimate:
     """All areal parameters, raw and with the noise taken out.
 
     Sq and the slopes by subtraction of variances (or as products of two scans); Ssk and Sku by cumulants, which add
@@ -148,34 +148,34 @@ def estimate(evidence: Evidence, *, with_raw: bool = True) -> Estimate:
     itself: to the first order that takes width squared times the squared slope across from Sq squared, of which is put
     back what ranging has not. ``with_raw`` false saves the time of what only the raw values need.
     """
-    z, pitch, second = evidence.z, evidence.pitch, evidence.second
+    z, pitch, second = measured.z, measured.pitch, measured.second
     raw = _distribution(z)
-    variance = raw["Sq"] ** 2 - evidence.noise_variance
+    variance = raw["Sq"] ** 2 - measured.noise_variance
     if second is not None:
         both = np.isfinite(z) & np.isfinite(second)
         a, b = z[both], second[both]
         common = float(((a - a.mean()) * (b - b.mean())).mean())
         variance = common * raw["Sq"] ** 2 / float(a.var())  # the gaps of the repeat are no reason to change the map
-    first, other = evidence.slope_maps
-    slopes = gradient_products(first, other, pitch) - evidence.slope_noise
+    first, other = measured.slope_maps
+    slopes = gradient_products(first, other, pitch) - measured.slope_noise
     noise_free = variance
-    variance += evidence.stripe_left * evidence.stripe_width**2 * max(float(slopes[0]), 0.0)
+    variance += measured.stripe_left * measured.stripe_width**2 * max(float(slopes[0]), 0.0)
     clean = dict(raw)
     clean["Sq"] = math.sqrt(variance) if noise_free > 0.0 else math.nan
     shrink = clean["Sq"] / raw["Sq"] if raw["Sq"] > 0.0 else math.nan
     for name in LINEAR:
-        clean[name] = shrink * evidence.answers.get(name, 1.0) * raw[name]
+        clean[name] = shrink * measured.answers.get(name, 1.0) * raw[name]
     for name in SHARES:
-        clean[name] = min(100.0, max(0.0, raw[name] + evidence.answers.get(name, 0.0)))
+        clean[name] = min(100.0, max(0.0, raw[name] + measured.answers.get(name, 0.0)))
     if raw["Sq"] > 0.0:
         without = math.sqrt(noise_free) / raw["Sq"] if noise_free > 0.0 else math.nan
         clean["Ssk"] = raw["Ssk"] / without**3
         clean["Sku"] = 3.0 + (raw["Sku"] - 3.0) / without**4
-    found = texture(z, pitch, second=second, noise_variance=evidence.noise_variance)
+    found = texture(z, pitch, second=second, noise_variance=measured.noise_variance)
     clean |= {"Sal": found.Sal, "Str": found.Str, "Std": found.Std}
     smoothed = gradient_products(first, first, pitch).sum()
     surface = float(slopes.sum())
-    clean["Sdq"] = evidence.slope_regain.factor * math.sqrt(surface) if surface > 0.0 else math.nan
+    clean["Sdq"] = measured.slope_attenuation.factor * math.sqrt(surface) if surface > 0.0 else math.nan
     less = clean["Sdq"] / math.sqrt(smoothed) if smoothed > 0.0 else math.nan
     clean["Sdr"] = 100.0 * developed_area_ratio(first, pitch, scale=less)
     if with_raw:
@@ -194,7 +194,7 @@ def answers_to_noise(z: Array, noise: Noise, rng: np.random.Generator) -> dict[s
     if math.isnan(noise.floor) or noise.floor == 0.0:
         return {}
     known = np.isfinite(z)
-    calm = calmed(z, noise.floor)[known]
+    calm = denoised(z, noise.floor)[known]
     if calm.std() == 0.0:
         return {}
     before = _distribution(calm)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from scope.heightmap import ISOTROPIC
-from scope.roughness.estimate import LINEAR, SHARES, Estimate, Evidence, estimate
+from scope.roughness.estimate import LINEAR, SHARES, Estimate, MeasuredMap, estimate
 from scope.roughness.noise import Noise
 from scope.roughness.profile_noise import LARGEST_NOISE_SHARE
 from scope.roughness.table import AREAL, Parameter
@@ -20,12 +20,12 @@ _SLOPE_NOISE = 12.0  # raw over clean: beyond, noise is 99.3 % of the squared sl
 _SLOPE_SAMPLING = 0.80  # of Sdq left at twice the pitch: below, the pitch decides it
 
 
-def trust_in_sigma(evidence: Evidence, found: Estimate, noise: Noise) -> dict[str, float]:
+def trust_in_sigma(measured: MeasuredMap, found: Estimate, noise: Noise) -> dict[str, float]:
     """How far each parameter moves when a predicted sigma is wrong by its standard uncertainty."""
     if noise.source != "sigma" or noise.trust == 0.0:
         return dict.fromkeys(found.clean, 0.0)
     factor = (1.0 + noise.trust) ** 2
-    more = replace(evidence, noise_variance=factor * evidence.noise_variance, slope_noise=factor * evidence.slope_noise)
+    more = replace(measured, noise_variance=factor * measured.noise_variance, slope_noise=factor * measured.slope_noise)
     moved = estimate(more, with_raw=False).clean
     return {
         key: abs(moved[key] - value) if math.isfinite(moved[key]) else math.inf for key, value in found.clean.items()
@@ -33,7 +33,7 @@ def trust_in_sigma(evidence: Evidence, found: Estimate, noise: Noise) -> dict[st
 
 
 def areal_table(
-    evidence: Evidence,
+    measured: MeasuredMap,
     found: Estimate,
     noise: Noise,
     spread: dict[str, float],
@@ -42,7 +42,7 @@ def areal_table(
 ) -> dict[str, Parameter]:
     """Table of the areal parameters: each with its uncertainty (k = 2), or with the reason why it is withheld.
 
-    ``spread`` and ``trust`` are the standard uncertainties from chance and from the trust in sigma, by parameter;
+    ``spread`` and ``trust`` are the standard uncertainties from sampling_uncertainty and from the trust in sigma, by parameter;
     ``gap_share`` is the share (0 to 1) of the lattice without a height.
     """
     table = {}
@@ -50,13 +50,13 @@ def areal_table(
         value, raw = found.clean[key], found.raw[key]
         reason = _withheld(key, found, noise)
         note = ""
-        extra = 0.0 if reason else _model_error(key, evidence, found, noise)
+        extra = 0.0 if reason else _model_error(key, measured, found, noise)
         if key in {"Sp", "Sv", "Sz"} and gap_share > 0.01:
             note = _ONE_SIDED
-        elif key in {"Sdq", "Sdr"} and evidence.slope_index != (0.0, 0.0):
+        elif key in {"Sdq", "Sdr"} and measured.slope_index != (0.0, 0.0):
             note = (
-                f"behind a Gaussian S-filter of {evidence.slope_index[0]:.3g} x {evidence.slope_index[1]:.3g} mm; "
-                f"the {100.0 * (1.0 - 1.0 / evidence.slope_regain.factor):.1f} % of Sdq that it took are put back"
+                f"behind a Gaussian S-filter of {measured.slope_index[0]:.3g} x {measured.slope_index[1]:.3g} mm; "
+                f"the {100.0 * (1.0 - 1.0 / measured.slope_attenuation.factor):.1f} % of Sdq that it took are put back"
             )
         expanded = None
         if spread and not reason and math.isfinite(spread[key]):
@@ -64,7 +64,7 @@ def areal_table(
         if key == "Std" and not reason and expanded is not None and expanded > _LARGEST_TURN:
             reason = f"the direction is uncertain by {expanded:.0f} degrees (k = 2, limit {_LARGEST_TURN:g}): choose a larger region"
         if key in {"Sdq", "Sdr"} and not reason:
-            reason = _slope_gate(evidence, found, expanded if key == "Sdq" else None)
+            reason = _slope_gate(measured, found, expanded if key == "Sdq" else None)
         table[key] = Parameter(
             value=None if reason else value,
             uncertainty=None if reason or expanded is None or not math.isfinite(expanded) else expanded,
@@ -80,7 +80,7 @@ def areal_table(
     return table
 
 
-def _model_error(key: str, evidence: Evidence, found: Estimate, noise: Noise) -> float:
+def _model_error(key: str, measured: MeasuredMap, found: Estimate, noise: Noise) -> float:
     """Standard uncertainty of what the corrections take for granted.
 
     What noise did to heights and volumes was found on smoothed heights, whose shape is not quite the surface's: a part of
@@ -90,10 +90,10 @@ def _model_error(key: str, evidence: Evidence, found: Estimate, noise: Noise) ->
     """
     clean, raw = found.clean, found.raw
     if key in {"Sdq", "Sdr"}:
-        return (1.0 if key == "Sdq" else 2.0) * evidence.slope_regain.doubt * clean[key]
+        return (1.0 if key == "Sdq" else 2.0) * measured.slope_attenuation.doubt * clean[key]
     width = 0.0
     if key == "Sq" or key in LINEAR:
-        width = 0.5 * evidence.stripe_loss(clean["Sq"]) * clean[key]
+        width = 0.5 * measured.stripe_loss(clean["Sq"]) * clean[key]
     if noise.source == "unknown":
         return width
     if key in {"Sp", "Sv", "Sz"}:
@@ -128,10 +128,10 @@ def _withheld(key: str, found: Estimate, noise: Noise) -> str:
     return "nothing follows from these heights"
 
 
-def _slope_gate(evidence: Evidence, found: Estimate, expanded: float | None) -> str:
+def _slope_gate(measured: MeasuredMap, found: Estimate, expanded: float | None) -> str:
     """Why slopes are withheld: decided by noise or by the pitch; empty where they stand."""
     clean, raw = found.clean["Sdq"], found.raw["Sdq"]
-    if evidence.slope_index != (0.0, 0.0):
+    if measured.slope_index != (0.0, 0.0):
         if raw > _SLOPE_NOISE * clean:
             return f"noise: the measured Sdq of {raw:.3g} is {raw / clean:.0f} times what noise leaves of it (limit {_SLOPE_NOISE:g})"
         if expanded is not None and math.isinf(expanded):
@@ -141,15 +141,15 @@ def _slope_gate(evidence: Evidence, found: Estimate, expanded: float | None) -> 
                 f"noise: Sdq {clean:.3g} would be uncertain by {100.0 * expanded / clean:.0f} % "
                 f"(limit {100.0 * _SLOPE_UNCERTAINTY:g} %, k = 2)"
             )
-    left = _coarser_slope(evidence)
+    left = _coarser_slope(measured)
     if left < _SLOPE_SAMPLING:
         return f"sampling: at twice the pitch Sdq falls to {100.0 * left:.0f} %, so the pitch decides it"
     return ""
 
 
-def _coarser_slope(evidence: Evidence) -> float:
+def _coarser_slope(measured: MeasuredMap) -> float:
     """Sdq at twice the pitch over Sdq."""
-    first, second = evidence.slope_maps
+    first, second = measured.slope_maps
     totals = []
     for every in (1, 2):
         square = 0.0
@@ -157,7 +157,7 @@ def _coarser_slope(evidence: Evidence) -> float:
             a, b = (np.moveaxis(values, axis, 0) for values in (first, second))
             product = (a[every:] - a[:-every]) * (b[every:] - b[:-every])
             known = np.isfinite(product)
-            mean = float(product[known].mean()) / (every * evidence.pitch[axis]) ** 2 if known.any() else math.nan
-            square += mean - float(evidence.slope_noise[axis]) / every**2 if every == 1 else mean
+            mean = float(product[known].mean()) / (every * measured.pitch[axis]) ** 2 if known.any() else math.nan
+            square += mean - float(measured.slope_noise[axis]) / every**2 if every == 1 else mean
         totals.append(square)
     return math.sqrt(totals[1] / totals[0]) if totals[0] > 0.0 and totals[1] > 0.0 else 1.0

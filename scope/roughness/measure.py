@@ -23,11 +23,11 @@ from scope.heightmap import (
     remove_model,
     s_filter,
 )
-from scope.roughness.chance import chance
-from scope.roughness.directions import Told, direction_parameters
-from scope.roughness.estimate import Estimate, Evidence, estimate
+from scope.roughness.directions import ProfileSettings, direction_parameters
+from scope.roughness.estimate import Estimate, MeasuredMap, estimate
 from scope.roughness.gates import areal_table, trust_in_sigma
 from scope.roughness.noise import SIGMA_TRUST, Noise, predicted_noise, repeat_noise
+from scope.roughness.sampling import sampling_uncertainty
 from scope.roughness.table import Parameter
 
 _LARGEST_OF_PATCH = 0.2  # of the patch's shorter side: beyond, likewise
@@ -156,11 +156,11 @@ def measure_heights(
         known = repeat_noise(formed, _formed(repeat, same), stripe_width=width)
     primary, primary_noise = _filtered(formed, known, options.s_filter, None, rng)
     final, final_noise = _filtered(primary, primary_noise, None, options.l_filter, rng)
-    evidence = Evidence.gather(final, final_noise, rng, stripe_width=width)
-    found = estimate(evidence)
-    spread = chance(evidence, found, rng) if options.uncertainty else {}
-    trust = trust_in_sigma(evidence, found, final_noise)
-    areal = areal_table(evidence, found, final_noise, spread, trust, final.gap_share)
+    measured = MeasuredMap.gather(final, final_noise, rng, stripe_width=width)
+    found = estimate(measured)
+    spread = sampling_uncertainty(measured, found, rng) if options.uncertainty else {}
+    trust = trust_in_sigma(measured, found, final_noise)
+    areal = areal_table(measured, found, final_noise, spread, trust, final.gap_share)
     slope_reason = areal["Sdq"].reason
     profile, told = direction_parameters(
         primary,
@@ -179,7 +179,7 @@ def measure_heights(
         valid=sq.value is not None and (sq.uncertainty or 2.0 * trust["Sq"]) < 0.5 * sq.value,
         pitch=final.pitch,
         bandwidth=_bandwidth(final, options, width, told),
-        notes=(*final.notes, *final_noise.notes, *_warnings(final, found, evidence), *told.notes),
+        notes=(*final.notes, *final_noise.notes, *_warnings(final, found, measured), *told.notes),
         heights=final,
         acf=found.texture.acf,
         name=name,
@@ -237,7 +237,7 @@ def _filtered(
     return result, replace(noise, second=second, sample=sample, floor=float(np.nanstd(sample)))
 
 
-def _warnings(heights: HeightMap, found: Estimate, evidence: Evidence) -> tuple[str, ...]:
+def _warnings(heights: HeightMap, found: Estimate, measured: MeasuredMap) -> tuple[str, ...]:
     notes = []
     length = found.clean["Sal"]
     side = math.sqrt((heights.size[0]) * heights.size[1])
@@ -252,18 +252,20 @@ def _warnings(heights: HeightMap, found: Estimate, evidence: Evidence) -> tuple[
                 f"warning: the correlation length of {length:.3g} mm is under three pitches ({max(heights.pitch):.3g} mm): "
                 "the sampling is too coarse for the finest texture"
             )
-    loss = evidence.stripe_loss(found.clean["Sq"])
+    loss = measured.stripe_loss(found.clean["Sq"])
     if loss > _WIDE_STRIPE:
         notes.append(
-            f"warning: the stripe (one sigma {evidence.stripe_width:.3g} mm) is wide against the texture: it averages away "
-            f"up to {100.0 * loss:.1f} % of Sq, of which ranging put back {100.0 * (1.0 - evidence.stripe_left):.0f} %"
+            f"warning: the stripe (one sigma {measured.stripe_width:.3g} mm) is wide against the texture: it averages away "
+            f"up to {100.0 * loss:.1f} % of Sq, of which ranging put back {100.0 * (1.0 - measured.stripe_left):.0f} %"
         )
     if heights.gap_share > 0.5:
         notes.append(f"warning: {100.0 * heights.gap_share:.0f} % of the patch was not seen")
     return tuple(notes)
 
 
-def _bandwidth(heights: HeightMap, options: RoughnessOptions, width: float, told: Told) -> dict[str, float | None]:
+def _bandwidth(
+    heights: HeightMap, options: RoughnessOptions, width: float, told: ProfileSettings
+) -> dict[str, float | None]:
     return {
         "pitch_across": heights.pitch[0],
         "pitch_along": heights.pitch[1],

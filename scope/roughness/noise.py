@@ -43,7 +43,7 @@ def added_noise(noise: Noise, known: Bools, rng: np.random.Generator) -> Array:
     return np.nan_to_num(np.roll(noise.sample, shift, axis=(0, 1)))
 
 
-def calmed(z: Array, floor: float, *, against: float = math.inf) -> Array:
+def denoised(z: Array, floor: float, *, against: float = math.inf) -> Array:
     """Heights (rows, columns) mm with white noise of ``floor`` mm rms smoothed away to a fiftieth of their variance.
 
     By the shortest Gaussian that does it; the smoothed heights are stretched to the variance that the surface has. With

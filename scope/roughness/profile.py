@@ -186,7 +186,7 @@ def _default_cutoff(z: Array, pitch: float, noise: float) -> float:
     if not fitting:
         return max(4.0 * pitch, length / SECTIONS) if length >= 4.0 * pitch else length
     widths = []
-    for profile in _calmed(z[:: max(1, len(z) // 50)], noise):
+    for profile in _denoised(z[:: max(1, len(z) // 50)], noise):
         if np.isfinite(profile).any():
             profile = profile - np.nanmean(profile)
             widths.append(elements(profile, pitch, DISCRIMINATION * float(np.nanmax(profile) - np.nanmin(profile)))[0])
@@ -198,7 +198,7 @@ def _default_cutoff(z: Array, pitch: float, noise: float) -> float:
     return min(max(wanted, fitting[0]), fitting[-1])
 
 
-def _calmed(z: Array, noise: float) -> Array:
+def _denoised(z: Array, noise: float) -> Array:
     """Profiles (N, samples) mm behind the shortest Gaussian that leaves white noise (mm rms) a hundredth of the variance.
 
     A smoothed wave keeps its width, which noise would cut to pieces.

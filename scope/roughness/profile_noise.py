@@ -10,17 +10,17 @@ import numpy as np
 
 from calibration.geometry import Array, Bools
 from scope.heightmap import ALPHA, SAMPLES_PER_INDEX, gaussian
+from scope.roughness.attenuation import Attenuation, attenuation_of
 from scope.roughness.extras import Joint, profile_depths
-from scope.roughness.noise import Noise, calmed
+from scope.roughness.noise import Noise, denoised
 from scope.roughness.profile import Profiles, profile_elements, profile_extremes, profile_parameters, roughness_profiles
-from scope.roughness.regain import Regain, regain
 
 SCALED = frozenset({"Ra", "Rz", "Rt", "Rc", "MPD"})
 OF_ELEMENTS = frozenset({"RSm", "Rc"})
 LARGEST_NOISE_SHARE = 0.8  # of the variance: beyond, shapes and scaled heights are not given
 _SHAPE_NOISE = 0.5  # of the variance: a profile's skewness and kurtosis rest on fewer heights than an area's
 _QUIET = 0.5  # share of the variance: more noise than this makes elements of its own even when it is smoothed
-_GROUPS = 8  # of profiles, whose scatter tells how sure the regain of slopes is
+_GROUPS = 8  # of profiles, whose scatter tells how sure the attenuation_of of slopes is
 _QUIET_SLOPES = 0.05  # share of the squared slopes that is subtracted without smoothing
 
 
@@ -41,7 +41,7 @@ class Direction:
     product: Array | None  # (N, 3): sums over what both scans saw: z1 z2, z1 z1, and their number
     noise_variance: float  # mm2, of the roughness heights, predicted; 0 where unknown or repeated
     slope: Array  # (N, 2): sum of the products of slopes behind the S-filter of three pitches, and their number
-    regain: Regain  # what that filter takes from Rdq
+    attenuation_of: Attenuation  # what that filter takes from Rdq
     slope_noise: float  # variance of unsmoothed slopes that noise predicts
     joint: Joint
     elements: dict[str, Array]  # (N,) each: RSm and Rc of the profiles with their noise smoothed away
@@ -79,7 +79,7 @@ class Direction:
             product=None if again is None else np.column_stack([_sums(rough * again), _sums(rough * rough + 0.0 * again)[:, 0]]),
             noise_variance=predicted,
             slope=slope,
-            regain=regain(before, after),
+            attenuation_of=attenuation_of(before, after),
             slope_noise=lone,
             joint=Joint.gather(z, pitch, second=second, noise_variance=floor, sample=None if noise.sample is None else added),
             elements={},
@@ -91,7 +91,7 @@ class Direction:
         if floor == 0.0 or not left > 0.0:
             return made
         against = left * float(np.nanvar(rough))
-        calm, calmer = (calmed(z, longer * noise.floor, against=against) for longer in (1.0, math.sqrt(2.0)))
+        calm, calmer = (denoised(z, longer * noise.floor, against=against) for longer in (1.0, math.sqrt(2.0)))
         found = [profile_elements(replace(profiles, z=_roughness(heights, profiles))) for heights in (calm, calmer)]
         doubt = {key: abs(_middle(found[1][key]) / _middle(found[0][key]) - 1.0) for key in found[0]}
         return replace(made, elements=found[0], doubt=doubt, answers=_answers(calm, profiles, added))
@@ -154,7 +154,7 @@ class Direction:
             return math.nan, told
         square = _mean(self.slope, keep)
         return (
-            (self.regain.factor * math.sqrt(square), "")
+            (self.attenuation_of.factor * math.sqrt(square), "")
             if square > 0.0
             else (math.nan, "noise is all of the measured slopes")
         )

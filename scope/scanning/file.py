@@ -25,7 +25,7 @@ from calibration.rig import Rig, sha256_of
 from scope.cloud import SENSOR, VERTEX, ScanCloud, comments, ply, require_format, sensor_records, vertex_records
 from scope.scanning.run import Plan, joined
 from scope.scanning.setup import ScanOptions
-from scope.scanning.statistics import Chunk, Footprint, Scan, Tally
+from scope.scanning.statistics import Chunk, Footprint, Scan, ScanStatistics
 from scope.session import read_capture
 
 _LONGEST = 1 << 16  # bytes of a line of JSON
@@ -53,40 +53,42 @@ def scan_to_file(
     rig = Rig.load(rig_path)
     identity = {"capture": sha256_of(capture) if capture.is_file() else "", "rig": rig.sha256, "options": repr(options)}
     part = out.with_name(out.name + ".part")
-    tally = Tally()
+    statistics = ScanStatistics()
     end = 0  # of what is already in the part, bytes
     if resume:
-        end = _resumed(part, identity, tally)
+        end = _resumed(part, identity, statistics)
     plan = Plan.of(read_capture(capture), rig, options)
     stream: BinaryIO | None = None
     try:
-        for chunk in plan.chunks(tally.frames, on_frame):
+        for chunk in plan.chunks(statistics.frames, on_frame):
             if stream is None:
                 stream = _continued(part, end) if end else _begun(part, identity)
             _write_chunk(stream, chunk)
-            tally.add(chunk)
+            statistics.add(chunk)
         why = plan.source.trouble
     except KeyboardInterrupt:
-        why = plan.interrupted(tally)
+        why = plan.interrupted(statistics)
     except ScopeError as error:
-        if tally.points and stream is not None and not stream.closed:
+        if statistics.points and stream is not None and not stream.closed:
             raise type(error)(
-                f"{error}; {tally.frames} frames are kept in {part.name}: then go on with --resume"
+                f"{error}; {statistics.frames} frames are kept in {part.name}: then go on with --resume"
             ) from error
         raise
     finally:
         if stream is not None:
             with suppress(OSError):  # what could not be written has been told
                 stream.close()
-            if tally.points == 0:  # nothing that were worth resuming
+            if statistics.points == 0:  # nothing that were worth resuming
                 part.unlink(missing_ok=True)
-    plan.refuse_nothing(tally)
+    plan.refuse_nothing(statistics)
     if out.suffix.lower() == ".ply" and len(plan.lasers) == 1 and not options.normals and not options.filters.any:
-        _write_streamed(out, part, plan, tally, why)
-        found = plan.scan(lambda: ScanCloud.load(out), tally, why, time.perf_counter() - started, points=tally.points)
+        _write_streamed(out, part, plan, statistics, why)
+        found = plan.scan(
+            lambda: ScanCloud.load(out), statistics, why, time.perf_counter() - started, points=statistics.points
+        )
     else:
         cloud = joined([_chunk(head, rows).cloud for head, rows in _records(part)])
-        found = plan.finish(cloud, tally, why, time.perf_counter() - started)
+        found = plan.finish(cloud, statistics, why, time.perf_counter() - started)
         found.cloud.save(out)
     if not why:
         part.unlink(missing_ok=True)
@@ -132,13 +134,13 @@ def _write_chunk(stream: BinaryIO, chunk: Chunk) -> None:
         ) from error
 
 
-def _write_streamed(out: Path, part: Path, plan: Plan, tally: Tally, why: str) -> None:
+def _write_streamed(out: Path, part: Path, plan: Plan, statistics: ScanStatistics, why: str) -> None:
     """PLY from the chunks of a part, each held alone."""
     with written_whole(out) as stream:
         seen = [np.unique(rows["frame"]) for _, rows in _records(part)]
         frames = np.unique(np.concatenate(seen))
-        nothing = plan.described(ScanCloud.from_points(np.zeros((0, 3))), why, tally)
-        counts = {"vertex": (VERTEX, tally.points), "sensor": (SENSOR, len(frames) * len(plan.lasers))}
+        nothing = plan.described(ScanCloud.from_points(np.zeros((0, 3))), why, statistics)
+        counts = {"vertex": (VERTEX, statistics.points), "sensor": (SENSOR, len(frames) * len(plan.lasers))}
         stream.write(ply.header(counts, comments(nothing)))
         for _, rows in _records(part):
             stream.write(rows.tobytes())
@@ -147,7 +149,7 @@ def _write_streamed(out: Path, part: Path, plan: Plan, tally: Tally, why: str) -
             stream.write(sensor_records(sensors).tobytes())
 
 
-def _resumed(part: Path, identity: dict[str, str], tally: Tally) -> int:
+def _resumed(part: Path, identity: dict[str, str], statistics: ScanStatistics) -> int:
     """Count the chunks of a part; returns where the last whole one ends, bytes."""
     try:
         with part.open("rb") as stream:
@@ -160,7 +162,7 @@ def _resumed(part: Path, identity: dict[str, str], tally: Tally) -> int:
     for head, rows in _records(part):
         if not head.settled:
             break
-        tally.add(_chunk(head, rows))
+        statistics.add(_chunk(head, rows))
         end = head.end
     return end
 

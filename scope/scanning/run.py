@@ -20,19 +20,19 @@ from ranging.background import Channel, clipping_level, mean_image, saturation_l
 from ranging.errors import RangingError
 from ranging.motion import Fixed, Linear, Motion
 from ranging.stripe import Stripe, StripeOptions, extract
-from ranging.surface import CONTEXT, REACH, Exposure, Lattice, Seen, refine
+from ranging.surface import CONTEXT, REACH, Lattice, MeasuredProfile, Timeframe, refine
 from ranging.triangulation import triangulate
 from scope.cloud import ScanCloud, Sensors, filtered
 from scope.scanning.agreement import Agreement, agreements
-from scope.scanning.setup import ScanOptions, channel_of, check_size, lasers_of, motion_of, told_apart
-from scope.scanning.statistics import Chunk, Footprint, Scan, Tally
+from scope.scanning.setup import ScanOptions, channel_of, check_size, lasers_of, motion_of, separated_by_colour
+from scope.scanning.statistics import Chunk, Footprint, Scan, ScanStatistics
 from scope.session import (
     AHEAD,
     Capture,
     Frame,
     Image,
     Source,
-    held_of,
+    frames_in_memory,
     in_order,
     open_source,
     read_alike,
@@ -101,20 +101,20 @@ def run_scan(
     plan = Plan.of(
         read_capture(Path(capture)), rig if isinstance(rig, Rig) else Rig.load(rig), options or ScanOptions()
     )
-    tally, parts = Tally(), []
+    statistics, parts = ScanStatistics(), []
     for chunk in done or []:
-        tally.add(chunk)
+        statistics.add(chunk)
         parts.append(chunk.cloud)
     try:
-        for chunk in plan.chunks(tally.frames, on_frame):
-            tally.add(chunk)
+        for chunk in plan.chunks(statistics.frames, on_frame):
+            statistics.add(chunk)
             parts.append(chunk.cloud)
             if on_chunk is not None:
                 on_chunk(chunk)
         why = plan.source.trouble
     except KeyboardInterrupt:
-        why = plan.interrupted(tally)
-    return plan.finish(joined(parts), tally, why, time.perf_counter() - started)
+        why = plan.interrupted(statistics)
+    return plan.finish(joined(parts), statistics, why, time.perf_counter() - started)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,8 +132,8 @@ class _Sight:
     """One frame's points, by the index of the laser."""
 
     number: int
-    seen: dict[int, Seen] = field(default_factory=dict)
-    exposures: dict[int, Exposure] = field(default_factory=dict)
+    seen: dict[int, MeasuredProfile] = field(default_factory=dict)
+    timeframes: dict[int, Timeframe] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +169,7 @@ class Plan:
         has_dark = capture.background_mode != "none"
         channels = tuple(channel_of(capture, laser, sample, has_dark) for laser in lasers)
         if len(lasers) > 1 and capture.sequence == "together":
-            channels = told_apart(capture, lasers, channels)
+            channels = separated_by_colour(capture, lasers, channels)
         darks: tuple[Image | None, ...] = (None,) * len(lasers)
         if capture.background_mode == "mean":
             images = read_alike(capture.background, "the background")
@@ -217,9 +217,9 @@ class Plan:
         fresh: list[tuple[int, list[_Taken]]] = []
         window: list[_Sight] = []
         begun, stopped = first, False
-        run = held_of(self.like, CHUNK)
+        run = frames_in_memory(self.like, CHUNK)
         try:
-            for found in in_order(self.source, self._extract, first=at, ahead=held_of(self.like, AHEAD)):
+            for found in in_order(self.source, self._extract, first=at, ahead=frames_in_memory(self.like, AHEAD)):
                 fresh.append(found)
                 done = at + len(window) + len(fresh)
                 if done > first:
@@ -231,7 +231,7 @@ class Plan:
                     begun, old = end, max(0, end - CONTEXT - at)
                     window, at = window[old:], at + old
                     for sight in window[: max(0, begun - REACH - at)]:
-                        sight.exposures.clear()
+                        sight.timeframes.clear()
         except KeyboardInterrupt:
             stopped = True
         window = window + self._see(fresh)
@@ -246,9 +246,9 @@ class Plan:
         asked = self.stripe.saturation
         return float(saturation_level(image.dtype) if asked is None else asked)
 
-    def interrupted(self, tally: Tally) -> str:
+    def interrupted(self, statistics: ScanStatistics) -> str:
         """Why a scan that the user ended is incomplete; empty for a camera that was to run until then."""
-        return "" if self.source.endless else f"interrupted after {tally.frames} frames"
+        return "" if self.source.endless else f"interrupted after {statistics.frames} frames"
 
     def _extract(self, frame: Frame) -> tuple[int, list[_Taken]]:
         """Stripes of one frame, by laser; runs in a thread."""
@@ -297,8 +297,8 @@ class Plan:
                 end = begin + len(stripe.position)
                 pose = self.motion.cloud_from_c(sight.number)
                 part = found.rows(begin, end)
-                sight.seen[k] = Seen.of(part, stripe, pose, self.centre)
-                sight.exposures[k] = Exposure(
+                sight.seen[k] = MeasuredProfile.of(part, stripe, pose, self.centre)
+                sight.timeframes[k] = Timeframe(
                     taken.image, taken.dark, laser.along, self._saturation(taken.image), pose,
                     part.slide @ pose.rotation.T, stripe.floor,
                 )  # fmt: skip
@@ -329,8 +329,8 @@ class Plan:
         self, k: int, sights: list[_Sight], first: int, last: int
     ) -> tuple[ScanCloud, Counter[str], Footprint | None]:
         lattice = Lattice.of([sight.seen[k] for sight in sights])
-        exposures = [] if isinstance(self.motion, Fixed) else [sight.exposures.get(k) for sight in sights]
-        found = refine(lattice, first, last, exposures, blur_px=self.rig.blur_px)
+        timeframes = [] if isinstance(self.motion, Fixed) else [sight.timeframes.get(k) for sight in sights]
+        found = refine(lattice, first, last, timeframes, blur_px=self.rig.blur_px)
         reason = found.reason
         if self.options.max_sigma is not None:
             reason[(reason == Reason.RANGED) & ~(found.sigma <= self.options.max_sigma)] = Reason.UNCERTAIN
@@ -356,22 +356,22 @@ class Plan:
         known = np.isfinite(found.footprint)
         return cloud, counts, Footprint(found.footprint, found.corrected, len(cloud)) if known else None
 
-    def refuse_nothing(self, tally: Tally) -> None:
+    def refuse_nothing(self, statistics: ScanStatistics) -> None:
         """``RangingError`` where no frame gave a point."""
-        if tally.points:
+        if statistics.points:
             return
-        if not tally.frames:
+        if not statistics.frames:
             raise RangingError(f"{self.capture.path}: no frame came; check the camera or the video and scan again")
-        reasons = ", ".join(f"{count} {reason}" for reason, count in tally.rejected.most_common(3))
-        most = tally.rejected.most_common(1)[0][0] if tally.rejected else ""
+        reasons = ", ".join(f"{count} {reason}" for reason, count in statistics.rejected.most_common(3))
+        most = statistics.rejected.most_common(1)[0][0] if statistics.rejected else ""
         raise RangingError(
-            f"{self.capture.path}: no point in any of {tally.frames} frames (lines without a point: {reasons}); "
+            f"{self.capture.path}: no point in any of {statistics.frames} frames (lines without a point: {reasons}); "
             f"{_REMEDIES.get(most, 'check that the laser is on, `channel`, exposure and focus')}"
         )
 
-    def described(self, cloud: ScanCloud, why: str, tally: Tally) -> ScanCloud:
+    def described(self, cloud: ScanCloud, why: str, statistics: ScanStatistics) -> ScanCloud:
         """Cloud with all that is known of the scan but its sensors."""
-        stripes = [tally.stripes.get(k, Footprint(np.nan, 0.0, 0)) for k in range(len(self.lasers))]
+        stripes = [statistics.stripes.get(k, Footprint(np.nan, 0.0, 0)) for k in range(len(self.lasers))]
         return replace(
             cloud,
             stripe_width=tuple(stripe.width for stripe in stripes),
@@ -383,11 +383,11 @@ class Plan:
             camera_centre=self.centre,
         )
 
-    def finish(self, cloud: ScanCloud, tally: Tally, why: str, seconds: float) -> Scan:
+    def finish(self, cloud: ScanCloud, statistics: ScanStatistics, why: str, seconds: float) -> Scan:
         """Sensors, normals, filters and the agreement of lasers; ``RangingError`` where no frame gave a point."""
-        self.refuse_nothing(tally)
+        self.refuse_nothing(statistics)
         numbers = np.unique(cloud.frame).tolist()
-        cloud = replace(self.described(cloud, why, tally), sensors=self.sensors(numbers))
+        cloud = replace(self.described(cloud, why, statistics), sensors=self.sensors(numbers))
         agreement = agreements(cloud)
         if self.options.normals:
             from scope.cloud import lattice_normals
@@ -395,16 +395,18 @@ class Plan:
             stored = cloud.points.astype(np.float32).astype(np.float64)  # as a resumed scan finds them
             cloud = replace(cloud, normals=lattice_normals(replace(cloud, points=stored)))
         cloud, removed = filtered(cloud, self.options.filters)
-        return self.scan(lambda: cloud, tally, why, seconds, points=len(cloud), filtered=removed, agreement=agreement)
+        return self.scan(
+            lambda: cloud, statistics, why, seconds, points=len(cloud), filtered=removed, agreement=agreement
+        )
 
     def scan(
-        self, load: Callable[[], ScanCloud], tally: Tally, why: str, seconds: float, *, points: int,
+        self, load: Callable[[], ScanCloud], statistics: ScanStatistics, why: str, seconds: float, *, points: int,
         filtered: Mapping[str, int] | None = None, agreement: tuple[Agreement, ...] = (),
     ) -> Scan:  # fmt: skip
         """Scan of a cloud that ``load`` gives."""
         return Scan(
-            load, points, tally.frames, tally.empty, dict(tally.rejected), seconds, why, tally.sigma.value,
-            tally.sigma_cal.value, self.rig.verification.passed, filtered or {}, agreement,
+            load, points, statistics.frames, statistics.empty, dict(statistics.rejected), seconds, why, statistics.sigma.value,
+            statistics.sigma_cal.value, self.rig.verification.passed, filtered or {}, agreement,
         )  # fmt: skip
 
     def sensors(self, frames: list[int]) -> Sensors:

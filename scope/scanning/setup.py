@@ -62,7 +62,9 @@ def channel_of(capture: Capture, laser: Laser, sample: list[Image], has_dark: bo
     return choose_channel(sample, asked, laser_off=has_dark) if sample else asked  # type: ignore[arg-type, return-value]
 
 
-def told_apart(capture: Capture, lasers: tuple[Laser, ...], channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
+def separated_by_colour(
+    capture: Capture, lasers: tuple[Laser, ...], channels: tuple[Channel, ...]
+) -> tuple[Channel, ...]:
     """Channels of lasers that shine at once: each colour's excess, so that one line does not show in the other's image."""
     colours = [channel.partition("-")[0] for channel in channels]
     if len(set(colours)) < len(colours) or {"gray", "auto"} & set(colours):

@@ -66,7 +66,7 @@ class Median:
 
 
 @dataclass(slots=True, eq=False)
-class Tally:
+class ScanStatistics:
     """Counts of the chunks so far."""
 
     frames: int = 0

@@ -9,7 +9,7 @@ from scope.session.calibration_file import (
     read_calibration,
 )
 from scope.session.capture import Capture, StageUse, read_capture
-from scope.session.frames import AHEAD, Frame, Source, held_of, in_order, open_source
+from scope.session.frames import AHEAD, Frame, Source, frames_in_memory, in_order, open_source
 from scope.session.images import Image, gray, mean_gray, mean_image, read_alike, read_image, shape_text
 from scope.session.templates import TEMPLATES, write_template
 
@@ -26,8 +26,8 @@ __all__ = [
     "StagePlan",
     "StageUse",
     "TEMPLATES",
+    "frames_in_memory",
     "gray",
-    "held_of",
     "in_order",
     "mean_gray",
     "mean_image",

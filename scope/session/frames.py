@@ -206,7 +206,7 @@ def open_source(capture: Capture) -> Source:
     return Folder(capture) if capture.images else Stream.open(capture)
 
 
-def held_of(image: Image | None, most: int) -> int:
+def frames_in_memory(image: Image | None, most: int) -> int:
     """How many frames like this one are held at once: ``most`` of them, fewer of large ones."""
     return most if image is None else max(4, min(most, HELD // max(1, image.nbytes)))
 

@@ -8,7 +8,7 @@ from calibration.geometry import Pose
 from calibration.rays import fit_ray_field
 from calibration.verification import Lattice, find_faults
 from calibration.verification import misplacement as placement
-from calibration.verification.hypotheses import Choice, Evidence, Hypothesis
+from calibration.verification.hypotheses import Choice, Hypothesis, Score
 from calibration.verification.redundancy import redundancy_of
 
 LATTICE = Lattice(10, 13, (24.0, 24.0))
@@ -23,7 +23,7 @@ def seen(seed, stand_offs=FIVE, **options):
 
 def evidence_of(planes):
     found = redundancy_of(planes, fit_ray_field(planes, orders=(3, 1)).field)
-    return Evidence.of(found.score, found.information)
+    return Score.of(found.score, found.information)
 
 
 @pytest.mark.parametrize("stand_offs", [(320.0, 400.0, 480.0), FOUR, SEVEN])
@@ -104,8 +104,10 @@ def test_affine_errors_are_invisible():
     }
     planes = seen(9, true_pose=poses, true_scale=dict.fromkeys(range(5), 1.01))
     assert find_faults(planes) == ()
-    evidence = evidence_of(planes)
-    assert evidence.total < len(evidence.z) + 4 * np.sqrt(2 * len(evidence.z))  # nothing but noise is left
+    score_of_modes = evidence_of(planes)
+    assert score_of_modes.total < len(score_of_modes.z) + 4 * np.sqrt(
+        2 * len(score_of_modes.z)
+    )  # nothing but noise is left
 
 
 @pytest.mark.parametrize(("one", "other"), [(0, 1), (1, 2), (0, 3)])
@@ -195,9 +197,9 @@ def test_modes_are_the_derivatives_of_the_residuals():
 def test_evidence_of_clean_sessions_is_chi_square():
     ratio, freedom = [], 0
     for seed in range(12):
-        evidence = evidence_of(seen(100 + seed, oblique=0.04 * seed, azimuth=float(seed)))
-        ratio.append(evidence.total)
-        freedom += len(evidence.z)
+        score_of_modes = evidence_of(seen(100 + seed, oblique=0.04 * seed, azimuth=float(seed)))
+        ratio.append(score_of_modes.total)
+        freedom += len(score_of_modes.z)
     spread = np.sqrt(2 * freedom)
     assert abs(sum(ratio) - freedom) < 3.5 * spread
 
@@ -206,8 +208,8 @@ def test_standard_errors_are_those_of_the_estimates():
     """Slips of one plane in 30 sessions: scatter over standard error, 60 components."""
     pulls = []
     for seed in range(30):
-        evidence = evidence_of(seen(200 + seed, FOUR))
-        fit = evidence.fit((Hypothesis(1, "slip"),))
+        score_of_modes = evidence_of(seen(200 + seed, FOUR))
+        fit = score_of_modes.fit((Hypothesis(1, "slip"),))
         pulls.append(fit.amounts / np.sqrt(np.diag(fit.covariance)))
     assert np.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.22)
 
@@ -283,10 +285,10 @@ def test_of_two_planes_one_turned_is_called_turned():
 def test_sizes_beside_a_scatter_of_the_planes_have_wider_errors():
     """Two stated standard errors cover 95 % also where the scatter comes from four differences of planes."""
     rng = np.random.default_rng(30)
-    evidence = Evidence(np.zeros(1), np.zeros((1, 49)), 7)
+    score_of_modes = Score(np.zeros(1), np.zeros((1, 49)), 7)
     scatter = np.array([1e-3] * 7)
-    none = Choice((Hypothesis(2, "stand_off"),), evidence, np.zeros(7))
-    some = Choice((Hypothesis(2, "stand_off"),), evidence, scatter)
+    none = Choice((Hypothesis(2, "stand_off"),), score_of_modes, np.zeros(7))
+    some = Choice((Hypothesis(2, "stand_off"),), score_of_modes, scatter)
     assert none.widening("stand_off") == 1.0
     pulls = rng.normal(size=100_000) / np.sqrt(rng.chisquare(4, 100_000) / 4)
     assert np.mean(np.abs(pulls) < 2 * some.widening("stand_off")) == pytest.approx(0.9545, abs=0.003)

@@ -97,7 +97,7 @@ def test_a_sphere_leaves_the_sheet_bends_and_shades_as_its_geometry_says():
     table = np.full((*u.shape, surface.COLUMNS), np.nan)
     light = np.log(lattice.peak * lattice.width)
     frames = len(u)
-    surface.see_surfaces(
+    surface.fit_patches(
         lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, light, (1, 2), 0,
         frames, patches, np.zeros(u.shape, bool), 1.0, table,
     )  # fmt: skip
@@ -124,7 +124,7 @@ def test_the_noise_of_bending_and_shading_is_that_of_repeated_scans():
         light = np.log(lattice.peak * lattice.width) + 0.01 * rng.standard_normal(clean.sigma.shape)
         patches = np.full((*clean.sigma.shape, surface.PATCH), np.nan)
         table = np.full((6, clean.sigma.shape[1], surface.COLUMNS), np.nan)
-        surface.see_surfaces(
+        surface.fit_patches(
             lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, light, (1, 2), 8,
             14, patches, np.zeros(clean.sigma.shape, bool), 1.0, table,
         )  # fmt: skip

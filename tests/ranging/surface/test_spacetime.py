@@ -9,7 +9,7 @@ from scipy.special import ndtr
 from calibration.geometry import Pose
 from calibration.reason import Reason
 from ranging.stripe import StripeOptions, extract
-from ranging.surface import REACH, Exposure, Lattice, refine
+from ranging.surface import REACH, Lattice, Timeframe, refine
 from ranging.surface.spacetime import follow_points
 
 PIXEL = 0.4  # mm
@@ -47,7 +47,7 @@ def images(slope: float, reflectance, rng: np.random.Generator | None) -> list[n
 
 
 def scene(slope: float, reflectance, rng: np.random.Generator | None = None):
-    """The lattice of the scan, its exposures, and the exact height (F, L) at each pixel found."""
+    """The lattice of the scan, its timeframes, and the exact height (F, L) at each pixel found."""
     shots = images(slope, reflectance, rng)
     scale = 1.0 if rng is not None else 256.0
     options = StripeOptions(gain_e=GAIN / scale, read_noise=1.2 * scale, saturation=65535, speckle="off", edge=0.9)
@@ -71,21 +71,21 @@ def scene(slope: float, reflectance, rng: np.random.Generator | None = None):
         sigma_px=sigma_px, width=np.stack([s.width for s in stripes]), peak=np.stack([s.peak for s in stripes]),
         asymmetry=np.stack([s.asymmetry for s in stripes]), noise=np.tile([GAIN / scale, DARK * scale**2, 0.0], (FRAMES, 1)),
     )  # fmt: skip
-    exposures = [
-        Exposure(
+    timeframes = [
+        Timeframe(
             shots[f], None, "rows", 65535.0, TURN @ Pose(np.eye(3), np.array([0.0, -moved[f, 0], 0.0])),
             turned([PIXEL, 0.0, 0.0])[f], stripes[f].floor,
         )
         for f in range(FRAMES)
     ]  # fmt: skip
     truth = height(on_object[..., 1], slope)
-    return lattice, exposures, truth, on_object
+    return lattice, timeframes, truth, on_object
 
 
-def passed(lattice, exposures, slope: float):
+def passed(lattice, timeframes, slope: float):
     blurred = np.hypot(WIDTH, abs(SHEET[1] + slope * SHEET[2]) * PIXEL * np.sqrt(LENS**2 + 1 / 12 + 0.25))
     every = np.ones((FRAMES, LINES), bool)
-    return follow_points(lattice, exposures, every, np.full(every.shape, blurred), 0, FRAMES)
+    return follow_points(lattice, timeframes, every, np.full(every.shape, blurred), 0, FRAMES)
 
 
 INNER = slice(REACH + 3, FRAMES - REACH - 3)
@@ -93,18 +93,18 @@ INNER = slice(REACH + 3, FRAMES - REACH - 3)
 
 @pytest.mark.parametrize("slope", [0.0, 0.4, -0.3])
 def test_without_noise_the_sheet_passes_an_even_surface_when_it_is_on_it(slope):
-    lattice, exposures, truth, on_object = scene(slope, lambda y: 0.8 + 0.0 * y)
+    lattice, timeframes, truth, on_object = scene(slope, lambda y: 0.8 + 0.0 * y)
     offset = (truth - on_object[..., 2]) * SHEET[2]  # of the surface from the sheet, at the pixel found
-    found = passed(lattice, exposures, slope)
+    found = passed(lattice, timeframes, slope)
     # mm; what a quadratic B-spline errs by between pixels
     np.testing.assert_allclose(found.offset[INNER], -offset[INNER], atol=0.006)
 
 
 def test_its_sigma_is_that_of_repeated_scans():
     rng = np.random.default_rng(8)
-    lattice, exposures, truth, on_object = scene(0.2, lambda y: 0.8 + 0.0 * y, rng)
+    lattice, timeframes, truth, on_object = scene(0.2, lambda y: 0.8 + 0.0 * y, rng)
     offset = (truth - on_object[..., 2]) * SHEET[2]
-    found = passed(lattice, exposures, 0.2)
+    found = passed(lattice, timeframes, 0.2)
     z = (found.offset + offset)[INNER] / found.sigma[INNER]
     assert 0.9 < np.sqrt(np.mean(z**2)) < 1.15
     assert 0.4 < np.median(found.misfit[INNER]) < 1.2  # of chi squared with few degrees of freedom
@@ -115,10 +115,10 @@ def dark_beyond(y: np.ndarray) -> np.ndarray:
 
 
 def test_at_an_edge_of_reflectance_profile_and_passage_err_to_opposite_sides_and_their_mean_much_less():
-    lattice, exposures, truth, on_object = scene(0.0, dark_beyond)
+    lattice, timeframes, truth, on_object = scene(0.0, dark_beyond)
     near = np.abs(on_object[INNER, 20, 1]) < 1.0
     profile = (on_object[..., 2] - truth)[INNER, 20][near]  # mm of height
-    found = passed(lattice, exposures, 0.0)
+    found = passed(lattice, timeframes, 0.0)
     passage = profile - (found.offset / SHEET[2])[INNER, 20][near]
     blur = (SHEET[1] * PIXEL) ** 2 * (LENS**2 + 1 / 12 + 0.25)
     weight = WIDTH**2 / (WIDTH**2 + blur)
@@ -132,8 +132,8 @@ def test_at_an_edge_of_reflectance_profile_and_passage_err_to_opposite_sides_and
 
 def test_points_at_an_edge_of_reflectance_hold_their_sigma_or_are_rejected():
     rng = np.random.default_rng(9)
-    lattice, exposures, _, _ = scene(0.0, dark_beyond, rng)
-    found = refine(lattice, 0, FRAMES, exposures)
+    lattice, timeframes, _, _ = scene(0.0, dark_beyond, rng)
+    found = refine(lattice, 0, FRAMES, timeframes)
     alone = refine(lattice, 0, FRAMES)  # judged by neighbours only
     kept = found.reason[INNER] == Reason.RANGED
     assert kept.mean() > 0.75  # two frames in fifteen lie on the edge
@@ -143,18 +143,18 @@ def test_points_at_an_edge_of_reflectance_hold_their_sigma_or_are_rejected():
 
 
 def test_a_sheet_that_moves_too_far_between_frames_gives_no_second_answer():
-    lattice, exposures, _, _ = scene(0.0, lambda y: 0.8 + 0.0 * y)
-    sparse = [exposure if k % 4 == 2 else None for k, exposure in enumerate(exposures)]
+    lattice, timeframes, _, _ = scene(0.0, lambda y: 0.8 + 0.0 * y)
+    sparse = [exposure if k % 4 == 2 else None for k, exposure in enumerate(timeframes)]
     assert np.isnan(passed(lattice, sparse, 0.0).offset).all()
 
 
 def test_clipped_pixels_are_no_samples():
-    lattice, exposures, truth, on_object = scene(0.4, lambda y: 0.8 + 0.0 * y)
+    lattice, timeframes, truth, on_object = scene(0.4, lambda y: 0.8 + 0.0 * y)
     offset = (truth - on_object[..., 2]) * SHEET[2]
-    top = np.uint16(0.98 * max(exposure.image.max() for exposure in exposures))
+    top = np.uint16(0.98 * max(exposure.image.max() for exposure in timeframes))
     clipped = [
-        Exposure(np.minimum(e.image, top), None, "rows", float(top), e.cloud_from_c, e.slide, e.floor)
-        for e in exposures
+        Timeframe(np.minimum(e.image, top), None, "rows", float(top), e.cloud_from_c, e.slide, e.floor)
+        for e in timeframes
     ]
     found = passed(lattice, clipped, 0.4)
     known = np.isfinite(found.offset[INNER])

@@ -22,13 +22,13 @@ from scope.model import Model, Surface, align, angle_between, evaluate, hidden, 
 from scope.model.files import read_mesh
 from scope.model.model import prepare_model, principal_axes
 from scope.pose import estimate_pose, largest_plane, normals_of, place, read_transform, thin
-from scope.pose.decision import Evidence, lines_blocked, margin, same_answer
+from scope.pose.decision import Likelihood, lines_blocked, margin, same_answer
 from scope.pose.estimate import PoseOptions
 from scope.pose.placed import frame_of, write_deviation
 from scope.pose.search import View
 from scope.pose.segmentation import clusters, extent
 from scope.pose.uncertainty import uncertainty
-from scope.pose.visibility import light_of
+from scope.pose.visibility import visibility_of
 from scope.pose.wording import pose_result, roll_pitch_yaw
 
 
@@ -316,12 +316,12 @@ def test_expected_surface_is_what_the_simulator_sees() -> None:
     known = prepare_model(made.vertices, made.faces)
     pose = parts.random_pose(made, np.random.default_rng(4))
     cloud = parts.scan(made, pose, np.random.default_rng(4), scanner=parts.Scanner(points=20_000))
-    light = light_of(cloud, np.zeros((0, 3)), voxel=2.0)
-    assert light is not None
-    assert light.sheet is not None
+    visibility = visibility_of(cloud, np.zeros((0, 3)), voxel=2.0)
+    assert visibility is not None
+    assert visibility.sheet is not None
     surface = Surface(made.vertices, made.faces)
-    wanted = light.expected(surface, pose, known.samples, known.normals, np.zeros((0, 3)))
-    near = light.covered(pose.apply(known.samples))
+    wanted = visibility.expected(surface, pose, known.samples, known.normals, np.zeros((0, 3)))
+    near = visibility.covered(pose.apply(known.samples))
     assert wanted.sum() > 1000
     assert near[wanted].mean() > 0.995
     out = known.normals @ pose.rotation.T
@@ -340,8 +340,8 @@ def test_sight_that_grazes_an_edge_blocks_nothing() -> None:
     assert blocked.tolist() == [False, True, True, False, False]
 
 
-def evidence(points: np.ndarray, samples: np.ndarray) -> Evidence:
-    return Evidence(Pose.identity(), points, samples, 1.0, 0.0, 1.0, 10)
+def evidence(points: np.ndarray, samples: np.ndarray) -> Likelihood:
+    return Likelihood(Pose.identity(), points, samples, 1.0, 0.0, 1.0, 10)
 
 
 class TestDecision:

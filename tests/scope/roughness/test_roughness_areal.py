@@ -116,7 +116,7 @@ def test_gaussian_closed_forms():
 @given(amplitude=st.floats(1e-4, 2.0), wavelength=st.floats(20.0, 80.0))
 @settings(max_examples=15, deadline=None)
 def test_sinusoid_closed_forms(amplitude, wavelength):
-    whole = round(wavelength) * 20  # whole periods, so that nothing is left to chance
+    whole = round(wavelength) * 20  # whole periods, so that nothing is left to sampling_uncertainty
     z = np.tile(amplitude * np.sin(2 * np.pi * np.arange(whole) / round(wavelength)), (8, 1))
     found = height_parameters(z.ravel())
     assert found["Sq"] == pytest.approx(amplitude / math.sqrt(2.0), rel=1e-9)

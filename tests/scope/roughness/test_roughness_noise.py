@@ -11,8 +11,8 @@ from scope.errors import MeasurementError
 from scope.heightmap import HeightMap, remove_form, s_filter
 from scope.roughness import Roughness, RoughnessOptions, measure_heights
 from scope.roughness.areal import root_mean_square_gradient
+from scope.roughness.attenuation import attenuation_of
 from scope.roughness.noise import predicted_noise, repeat_noise
-from scope.roughness.regain import regain
 
 PITCH = (0.1, 0.1)
 QUICK = RoughnessOptions(form="plane", uncertainty=False)
@@ -137,11 +137,11 @@ def test_slopes_are_regained_where_more_smoothing_takes_them() -> None:
     """Behind Gaussians of variance v a spectrum exp(-(L k)^2 / 4) leaves (1 + 4 v / L^2)^-2 of the squared slopes."""
     share = 0.05
     before, after = ((1.0 + n * share) ** -2 * np.ones(8) for n in (1.0, 2.0))
-    found = regain(before, after)
+    found = attenuation_of(before, after)
     assert found.factor == pytest.approx(1.0 + share, rel=0.01)
     assert 0.3 * share < found.doubt < share
     rng = np.random.default_rng(66)
-    lost = regain(before, after * (1.0 + 0.5 * rng.standard_normal(8)))
+    lost = attenuation_of(before, after * (1.0 + 0.5 * rng.standard_normal(8)))
     assert lost.factor == 1.0
     assert lost.doubt > 0.05
-    assert math.isinf(regain(before, -after).doubt)
+    assert math.isinf(attenuation_of(before, -after).doubt)

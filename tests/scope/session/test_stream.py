@@ -158,11 +158,11 @@ def test_running_median_is_the_median() -> None:
 
 
 def test_fewer_frames_are_held_of_large_images() -> None:
-    from scope.session import AHEAD, held_of
+    from scope.session import AHEAD, frames_in_memory
     from scope.session.frames import HELD
 
-    assert held_of(np.zeros((480, 640), np.uint8), AHEAD) == AHEAD
-    assert held_of(None, AHEAD) == AHEAD
+    assert frames_in_memory(np.zeros((480, 640), np.uint8), AHEAD) == AHEAD
+    assert frames_in_memory(None, AHEAD) == AHEAD
     large = np.broadcast_to(np.uint16(0), (4096, 5120))  # 42 MB, of which none is taken here
-    assert held_of(large, AHEAD) * large.nbytes <= HELD
-    assert held_of(np.broadcast_to(np.uint16(0), (20000, 20000)), AHEAD) == 4
+    assert frames_in_memory(large, AHEAD) * large.nbytes <= HELD
+    assert frames_in_memory(np.broadcast_to(np.uint16(0), (20000, 20000)), AHEAD) == 4

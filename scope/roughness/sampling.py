@@ -1,4 +1,4 @@
-"""How far chance moves the areal parameters of a map: noise, sampling and gaps."""
+"""How far sampling_uncertainty moves the areal parameters of a map: noise, sampling and gaps."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ import numpy as np
 
 from calibration.geometry import Array
 from scope.heightmap import Texture
-from scope.roughness.estimate import Estimate, Evidence, estimate
+from scope.roughness.estimate import Estimate, MeasuredMap, estimate
 
 _FEW_GAPS = 0.01  # fewer need no looking into
 
 
-def chance(evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *, tiles: int = 24) -> dict[str, float]:
+def sampling_uncertainty(
+    measured: MeasuredMap, estimate_: Estimate, rng: np.random.Generator, *, tiles: int = 24
+) -> dict[str, float]:
     """Standard uncertainty of every parameter from noise, sampling and gaps together: the delete-a-tile jackknife.
 
     The map is cut into tiles at least four correlation lengths wide where that leaves enough of them; the spread of the
@@ -22,17 +24,17 @@ def chance(evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *,
     the extremes of single tiles, as Gumbel's law has it. On a regular texture all tiles are alike and hide what gaps do:
     that is found by cutting the map's own gaps into it once more, elsewhere.
     """
-    labels, count = _tiles(evidence.z, _correlation_lengths(estimate_.texture), evidence.pitch, tiles)
+    labels, count = _tiles(measured.z, _correlation_lengths(estimate_.texture), measured.pitch, tiles)
     found: list[dict[str, float]] = []
     extremes: list[dict[str, float]] = []
     for tile in range(count):
         inside = labels == tile
-        known = evidence.z[inside]
+        known = measured.z[inside]
         known = known[np.isfinite(known)]
         if len(known) < 10:
             continue
         extremes.append({"Sp": float(known.max()), "Sv": float(-known.min()), "Sz": float(np.ptp(known))})
-        found.append(estimate(evidence.part(~inside), with_raw=False).clean)
+        found.append(estimate(measured.part(~inside), with_raw=False).clean)
     if len(found) < 4:
         return dict.fromkeys(estimate_.clean, math.nan)
     spread = {}
@@ -45,7 +47,7 @@ def chance(evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *,
             spread[name] = few(len(values)) * float(np.sqrt((len(values) - 1) * np.mean((values - values.mean()) ** 2)))
     for name in ("Sp", "Sv", "Sz"):
         spread[name] = float(np.std([one[name] for one in extremes], ddof=1))
-    for name, moved in _gap_spread(evidence, estimate_, rng).items():
+    for name, moved in _gap_spread(measured, estimate_, rng).items():
         spread[name] = math.hypot(spread[name], moved)
     if math.isfinite(estimate_.clean["Std"]):
         turned = np.exp(2j * np.radians([one["Std"] for one in found if math.isfinite(one["Std"])]))
@@ -60,16 +62,16 @@ def few(parts: int) -> float:
 
 
 def _gap_spread(
-    evidence: Evidence, estimate_: Estimate, rng: np.random.Generator, *, draws: int = 4
+    measured: MeasuredMap, estimate_: Estimate, rng: np.random.Generator, *, draws: int = 4
 ) -> dict[str, float]:
     """Root mean square change (by parameter) that the map's own gaps make when they are cut again at a random shift."""
-    known = np.isfinite(evidence.z)
+    known = np.isfinite(measured.z)
     if known.mean() > 1.0 - _FEW_GAPS:
         return {}
     changes: dict[str, list[float]] = {name: [] for name in estimate_.clean if name != "Std"}
     for _ in range(draws):
         shift = (int(rng.integers(known.shape[0])), int(rng.integers(known.shape[1])))
-        again = estimate(evidence.part(np.roll(known, shift, axis=(0, 1))), with_raw=False).clean
+        again = estimate(measured.part(np.roll(known, shift, axis=(0, 1))), with_raw=False).clean
         for name, found in changes.items():
             change = again[name] - estimate_.clean[name]
             if math.isfinite(change):

@@ -1,4 +1,4 @@
-"""Motions that the surface normals do not hold, but the borders of the surface do: a face slides only until points hang over."""
+"""Motions that the surface normals do not settle_by_borders, but the borders of the surface do: a face slides only until points hang over."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def move(pose: Pose, motion: Array, amount: float, centre: Array, radius: float)
     return Pose(turn @ pose.rotation, centre + turn @ (pose.translation - centre) + amount * motion[:3])
 
 
-def hold(
+def settle_by_borders(
     surface: Surface, pose: Pose, motions: Array, points: Array, sigma: Array, centre: Array, radius: float
 ) -> tuple[Pose, Array] | None:
     """Settle loose motions by the points that would hang over an edge or lie inside: a profile of their cost.
