@@ -158,6 +158,39 @@ def test_what_is_imported_is_declared() -> None:
     assert {module: str(path) for module, path in used.items() if module not in known} == {}
 
 
+def room(module: str) -> str:
+    """The room that a module stands in: `calibration.rays` for `calibration.rays.two_plane`, itself for a file on top."""
+    parts = module.split(".")
+    return ".".join(parts[:2]) if len(parts) > 2 or (ROOT / Path(*parts)).is_dir() else module
+
+
+def intrusions(tree: ast.Module, own: str) -> list[str]:
+    """Imports that reach into a file of another room, past its `__init__`."""
+    reached = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    reached += [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+    return [m for m in reached if m.split(".")[0] in LAYERS and len(m.split(".")) > 2 and room(m) != own]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_a_room_is_entered_by_its_door(path: Path) -> None:
+    module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    assert intrusions(parsed(path), room(module)) == []
+
+
+def test_the_law_of_doors_sees_what_it_should() -> None:
+    tree = ast.parse(
+        "from calibration.rays.two_plane import x\nimport ranging.stripe._table\nfrom scope.cloud import y"
+    )
+    assert intrusions(tree, "scope.cloud") == ["calibration.rays.two_plane", "ranging.stripe._table"]
+    assert intrusions(tree, "calibration.rays") == ["ranging.stripe._table"]
+
+
+def test_no_folder_is_crowded() -> None:
+    folders = {path.parent for path in SOURCES}
+    crowded = {str(f.relative_to(ROOT)): len(list(f.glob("*.py"))) for f in folders if len(list(f.glob("*.py"))) > 16}
+    assert crowded == {}
+
+
 # --- what an import costs ---------------------------------------------------------------------------------------
 
 
