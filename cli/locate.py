@@ -37,7 +37,11 @@ def pose(
         Path | None, typer.Option("--init", help="JSON with a 4x4 cloud_from_model to be tried too.")
     ] = None,
     robot_from_camera: Annotated[
-        Path | None, typer.Option("--robot-from-camera", help="JSON with a 4x4: the pose is given for the robot too.")
+        Path | None,
+        typer.Option(
+            "--robot-from-camera",
+            help="JSON with robot_from_camera, units and convention: the pose is given for the robot too.",
+        ),
     ] = None,
     deviation: Annotated[
         Path | None, typer.Option("--deviation", help="PLY of the part's points with their distance from the model.")
@@ -49,13 +53,24 @@ def pose(
     """Find a known part in a scan: position, orientation and how sure they are; exit 3 where the answer is not sure."""
     from calibration.atomic import require_folder, write_text
     from scope.cloud import ScanCloud
-    from scope.pose import estimate_pose, frame_of, place, pose_result, pose_text, read_transform, write_deviation
+    from scope.pose import (
+        estimate_pose,
+        frame_of,
+        place,
+        pose_result,
+        pose_text,
+        read_robot_from_camera,
+        read_transform,
+        write_deviation,
+    )
     from scope.report import pose_html
 
     with user_errors():
         require_folder(deviation, report)
         started = None if init is None else read_transform(init)
-        robot = None if robot_from_camera is None else read_transform(robot_from_camera)
+        robot = None if robot_from_camera is None else read_robot_from_camera(robot_from_camera)
+        if robot is not None and robot.warning:
+            say(f"warning: {robot.warning}", quiet=quiet)
         scan = ScanCloud.load(cloud)
         with _usage():
             within = _region(region)

@@ -4,7 +4,7 @@ from scope.cloud.columns import Sensors
 from scope.cloud.files import SENSOR, VERTEX, comments, require_format, sensor_records, vertex_records
 from scope.cloud.filters import FilterOptions, filtered
 from scope.cloud.lattice import lattice_index, lattice_lines
-from scope.cloud.near_mesh import Mesh, NEAR, read_mesh
+from scope.cloud.near_mesh import NEAR, Mesh, read_mesh
 from scope.cloud.normals import lattice_normals, lattice_spacing
 from scope.cloud.region import Box, Polygon, Region
 from scope.cloud.region_text import parse_region, require_names

@@ -15,7 +15,7 @@ from scope.heightmap.form import remove_form, require_form
 from scope.heightmap.heights import HeightMap
 from scope.heightmap.model import remove_model
 from scope.heightmap.patch import DEEPEST, LEAST_POINTS, patch_heights
-from scope.heightmap.spatial import Autocorrelation, ISOTROPIC, Texture, autocorrelation, power_spectrum, texture
+from scope.heightmap.spatial import ISOTROPIC, Autocorrelation, Texture, autocorrelation, power_spectrum, texture
 
 __all__ = [
     "ALPHA",

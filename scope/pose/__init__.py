@@ -2,12 +2,12 @@
 
 from scope.pose.answer import PoseResult
 from scope.pose.estimate import estimate_pose
-from scope.pose.placed import Placed, frame_of, place, read_transform, write_deviation
+from scope.pose.placed import Placed, frame_of, place, read_robot_from_camera, read_transform, write_deviation
 from scope.pose.search import normals_of, thin
 from scope.pose.segmentation import largest_plane
 from scope.pose.uncertainty import patches, shared_errors
 from scope.pose.visibility import sheet_and_window, viewpoints
-from scope.pose.wording import CONVENTION, pose_result, pose_text
+from scope.pose.wording import CONVENTION, notations_text, pose_json, pose_result, pose_text
 
 __all__ = [
     "CONVENTION",
@@ -17,10 +17,13 @@ __all__ = [
     "frame_of",
     "largest_plane",
     "normals_of",
+    "notations_text",
     "patches",
     "place",
+    "pose_json",
     "pose_result",
     "pose_text",
+    "read_robot_from_camera",
     "read_transform",
     "shared_errors",
     "sheet_and_window",

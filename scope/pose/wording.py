@@ -7,35 +7,30 @@ from typing import Any
 import numpy as np
 
 from calibration.geometry import Array, Pose, quaternion_from_rotation
+from calibration.notation import COLUMNS, NOTATIONS, Notation, numbers_of, roll_pitch_yaw
 from scope.pose.placed import Placed
 
 
-def roll_pitch_yaw(rotation: Array) -> Array:
-    """Angles (3,) rad about the fixed axes x, then y, then z: R = Rz(yaw) Ry(pitch) Rx(roll).
-
-    At pitch = +-90 degrees only the sum or difference of the others is known: roll is then 0.
-    """
-    pitch = float(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))
-    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:
-        return np.array([0.0, pitch, float(np.arctan2(-rotation[0, 1], rotation[1, 1]))])
-    roll = float(np.arctan2(rotation[2, 1], rotation[2, 2]))
-    return np.array([roll, pitch, float(np.arctan2(rotation[1, 0], rotation[0, 0]))])
-
-
 def pose_json(pose: Pose) -> dict[str, Any]:
-    """One transform in three notations: row-major 4x4 (mm), translation (mm) with quaternion w x y z, and with angles."""
+    """One transform in every notation, mm: 4x4 by rows, translation with quaternion and with angles, and as robots take it.
+
+    Those of robots are lists under the names of `calibration.notation`, in the order of its columns.
+    """
     return {
         "matrix": pose.matrix.tolist(),
         "translation_mm": pose.translation.tolist(),
         "quaternion_wxyz": quaternion_from_rotation(pose.rotation).tolist(),
         "rpy_deg": np.degrees(roll_pitch_yaw(pose.rotation)).tolist(),
+        **{name: numbers_of(name, pose).tolist() for name in NOTATIONS if name != "matrix"},
     }
 
 
 CONVENTION = (
     "a_from_b maps points of b to a: x_a = R x_b + t, 4x4 row-major, mm. quaternion w x y z. rpy: degrees about the fixed "
     "axes x, y, z in this order, R = Rz Ry Rx. covariance: 6x6 of (x, y, z mm, turns about x, y, z of the cloud, rad), the "
-    "turns about the model's origin."
+    "turns about the model's origin. Lists by name: "
+    + "; ".join(f"{name} {' '.join(COLUMNS[name])}" for name in NOTATIONS if name != "matrix")
+    + ": translations mm, ur turns rad, others degrees."
 )
 
 
@@ -46,6 +41,19 @@ def deviation_text(deviation: Array) -> str:
         return "no point near the model"
     low, middle, high = np.percentile(near, [2.5, 50, 97.5])
     return f"95 % of the points lie between {low:+.3f} and {high:+.3f} mm of the mesh, median {middle:+.3f} mm"
+
+
+def notations_text(pose: Pose) -> list[str]:
+    """One line for each notation that robots take, numbers named in its order."""
+    decimals: dict[Notation, int] = {"ur": 6, "kuka": 4, "fanuc": 4, "rpy-deg": 4}
+    lines = []
+    for name in NOTATIONS:
+        if name == "matrix":
+            continue
+        numbers = zip(COLUMNS[name], numbers_of(name, pose), strict=True)
+        told = " ".join(f"{c} {x:.{3 if c in 'xyz' else decimals.get(name, 7)}f}" for c, x in numbers)
+        lines.append(f"  {name}: {told}")
+    return lines
 
 
 def pose_result(placed: Placed) -> dict[str, Any]:
@@ -94,6 +102,7 @@ def pose_result(placed: Placed) -> dict[str, Any]:
             for o in result.others
             if o.cloud_from_model is not None
         ],
+        "warnings": list(placed.warnings),
         "convention": CONVENTION,
     }
 
@@ -114,6 +123,9 @@ def pose_text(placed: Placed) -> str:
             lines.append(
                 f"{name}: x {x:.3f} y {y:.3f} z {z:.3f} mm, roll {roll:.3f} pitch {pitch:.3f} yaw {yaw:.3f} deg"
             )
+    told_of = [(name, pose) for name, pose in [*named, ("robot", placed.robot_from_model)] if pose is not None]
+    lines.append(f"the part in the frame of the {told_of[-1][0]}, mm, in the notations of robots:")
+    lines += notations_text(told_of[-1][1])
     if result.covariance is not None:
         sd = np.sqrt(np.diag(result.covariance))
         lines.append(

@@ -12,6 +12,7 @@ from scope.session.capture import Capture, StageUse, read_capture
 from scope.session.frames import AHEAD, Frame, Source, frames_in_memory, in_order, open_source
 from scope.session.images import Image, gray, mean_gray, mean_image, read_alike, read_image, shape_text
 from scope.session.templates import TEMPLATES, write_template
+from scope.session.toml_file import MM
 
 __all__ = [
     "AHEAD",
@@ -21,6 +22,7 @@ __all__ = [
     "Image",
     "LaserPlan",
     "ListedMarks",
+    "MM",
     "PlanePlan",
     "Source",
     "StagePlan",

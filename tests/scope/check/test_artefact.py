@@ -234,7 +234,7 @@ class TestCommands:
         rng = np.random.default_rng(8)
         truth = parts.random_pose(made, rng)
         parts.scan(made, truth, rng, scanner=parts.Scanner(points=6000)).save(tmp_path / "c.ply")
-        (tmp_path / "robot.json").write_text(json.dumps(np.eye(4).tolist()))
+        (tmp_path / "robot.json").write_text(json.dumps({"robot_from_camera": np.eye(4).tolist(), "units": "mm"}))
         asked = ["pose", str(tmp_path / "c.ply"), "--model", str(tmp_path / "casting.stl"), "--json", "--at", "first"]
         asked += ["--robot-from-camera", str(tmp_path / "robot.json"), "--report", str(tmp_path / "r.html")]
         done = CliRunner().invoke(
