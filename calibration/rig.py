@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
+from calibration import checked
 from calibration.atomic import write_text
 from calibration.errors import FileError
-from calibration.geometry import Array, Plane, Pose
+from calibration.geometry import Plane, Pose
 from calibration.rays import Domain, PinholeCamera, PlaneMap, RayField, TwoPlaneCamera, exponents
+from calibration.seal import altered, sealed
 from calibration.sheet import CurvedSheet, Laser, PlaneOfLight, Sheet, SheetFrame, order_of
 from calibration.stages import Stage
 from calibration.volume import Volume
 
 FORMAT = 1
 _LARGEST = 64 << 20  # bytes
-_HIGHEST = 20  # order of a polynomial that a rig may ask for
 _CHANNELS = {"auto", "gray", *(f"{colour}{kind}" for colour in ("red", "green", "blue") for kind in ("", "-excess"))}
 
 AnyCamera = TwoPlaneCamera | PinholeCamera
@@ -53,10 +54,15 @@ class Rig:
     software: str = ""
     inputs: Mapping[str, str] = field(default_factory=dict)  # file name: SHA-256
     sha256: str = ""  # of the file it was read from
+    sealed: bool = True  # False: read from a file of an earlier version, in which an alteration cannot be seen
 
     @classmethod
-    def load(cls, path: str | Path) -> Rig:
-        """Read a rig; ``FileError`` where it is missing, damaged, of a newer format or no rig at all."""
+    def load(cls, path: str | Path, *, allow_edited: bool = False) -> Rig:
+        """Read a rig; ``FileError`` where it is missing, damaged, altered, of a newer format or no rig at all.
+
+        With ``allow_edited`` a rig that was altered since it was written, as its seal tells, is taken as one that did not
+        pass its verification. A rig without a seal is of an earlier version: it is taken as it is, and says so.
+        """
         path = Path(path)
         try:
             size = path.stat().st_size
@@ -80,15 +86,38 @@ class Rig:
                 f"{path}: rig format {content.get('format')!r}; this version reads format {FORMAT}: update SCOPE or "
                 "calibrate again with this version"
             )
+        where = ""
         try:
-            return _rig(content, hashlib.sha256(data).hexdigest())
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+            changed = altered(content)
+            where = "" if not changed else f" in {_listed(changed)}"
+            rig = _rig(content, hashlib.sha256(data).hexdigest())
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError) as error:
             text = f"{type(error).__name__}: {error}"[:100]
-            raise FileError(f"{path}: damaged or edited ({text}); calibrate again") from error
+            raise FileError(f"{path}: damaged or edited{where} ({text}); calibrate again") from error
+        if changed is None:
+            return replace(rig, sealed=False)
+        if not changed:
+            return rig
+        if not allow_edited:
+            raise FileError(
+                f"{path}: altered since it was calibrated: {_listed(changed)}; restore the file or calibrate again "
+                "(--allow-edited takes it as unverified)"
+            )
+        why = f"edited after calibration: {_listed(changed)}; {rig.verification.why}"
+        return replace(rig, verification=replace(rig.verification, passed=False, why=why))
 
     def save(self, path: str | Path) -> None:
         """Write the rig whole, or not at all."""
-        write_text(Path(path), json.dumps(_content(self), indent=1, allow_nan=False) + "\n")
+        content = _content(self)
+        write_text(
+            Path(path), json.dumps(sealed(content) if self.sealed else content, indent=1, allow_nan=False) + "\n"
+        )
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    """Names in one short line."""
+    shown = ", ".join(name[:40] for name in names[:4])
+    return shown if len(names) <= 4 else f"{shown} and {len(names) - 4} more"
 
 
 def sha256_of(path: Path) -> str:
@@ -159,83 +188,19 @@ def _plain(value: Any) -> Any:
     return value
 
 
-T = TypeVar("T")
-
-
-def _array(content: Any, *shape: int, known: bool = True) -> Array:
-    """Array of a shape (-1: any length), finite where it must be ``known``; null becomes NaN."""
-    values = np.array(content, dtype=np.float64)
-    if values.size == 0:
-        values = values.reshape([max(n, 0) for n in shape])
-    if values.ndim != len(shape) or any(n not in {-1, m} for n, m in zip(shape, values.shape, strict=True)):
-        raise ValueError(f"an array of shape {shape} was expected, found {values.shape}")
-    if known and not np.isfinite(values).all():
-        raise ValueError("a number that must be known is null or infinite")
-    return values
-
-
-def _unit(content: Any) -> Array:
-    """Unit vector (3,)."""
-    vector = _array(content, 3)
-    if abs(float(np.linalg.norm(vector)) - 1.0) > 1e-6:
-        raise ValueError(f"a unit vector was expected, found length {np.linalg.norm(vector):g}")
-    return vector
-
-
-def _rotation(content: Any) -> Array:
-    rotation = _array(content, 3, 3)
-    Pose.from_matrix(Pose(rotation, np.zeros(3)).matrix, tolerance=1e-6)  # its ValueError is this rig's
-    return rotation
-
-
-def _positive(content: Any) -> float:
-    value = float(content)
-    if not 0 < value < np.inf:
-        raise ValueError(f"a positive number was expected, found {value}")
-    return value
-
-
-def _order(content: Any) -> int:
-    order = int(content)
-    if not 0 <= order <= _HIGHEST:
-        raise ValueError(f"an order from 0 to {_HIGHEST} was expected, found {order}")
-    return order
-
-
-def _one_of(content: Any, allowed: set[str]) -> str:
-    if content not in allowed:
-        raise ValueError(f"{content!r} is none of {', '.join(sorted(allowed))}")
-    return str(content)
-
-
-def _number(content: Any) -> float:
-    return float("nan") if content is None else float(content)
-
-
-def _blur(content: Any) -> float:
-    value = _number(content)
-    if value == value and not 0.1 < value < 50.0:
-        raise ValueError(f"a blur of {value} px")
-    return value
-
-
-def _each(content: Any, read: Callable[[Any], T]) -> tuple[T, ...]:
-    return tuple(read(item) for item in content)
-
-
 def _rig(content: dict[str, Any], digest: str) -> Rig:
     verdict = content["verification"]
     return Rig(
         camera=_camera(content["camera"]),
         lasers={str(name): _laser(item) for name, item in content["lasers"].items()},
-        stages=_each(content["stages"], _stage),
+        stages=checked.each(content["stages"], _stage),
         verification=Verification(
-            verdict["passed"] is True, str(verdict["why"]), _each(verdict["faults"], dict), _each(verdict["planes"], _told),
-            _number(verdict["interplane_px"]),
+            verdict["passed"] is True, str(verdict["why"]), checked.each(verdict["faults"], dict), checked.each(verdict["planes"], _told),
+            checked.number(verdict["interplane_px"]),
         ),
         accept={str(key): float(value) for key, value in content["accept"].items()},
         camera_id=str(content["camera_id"]),
-        blur_px=_blur(content.get("blur_px")),  # rigs of earlier versions have none
+        blur_px=checked.blur(content.get("blur_px")),  # rigs of earlier versions have none
         written=str(content["written"]),
         software=str(content["software"]),
         inputs={str(key): str(value) for key, value in content["inputs"].items()},
@@ -252,62 +217,75 @@ def _camera(content: dict[str, Any]) -> AnyCamera:
     size = (int(content["size"][0]), int(content["size"][1]))
     if not (0 < size[0] < 1 << 20 and 0 < size[1] < 1 << 20):
         raise ValueError(f"images of {size[0]} x {size[1]} px")
-    volume = Volume(_array(content["volume"]["normals"], -1, 3), _array(content["volume"]["offsets"], -1))
+    volume = _volume(content["volume"])
     if content["model"] == "pinhole":
         return PinholeCamera(
-            _array(content["matrix"], 3, 3), _array(content["distortion"], 5), _pose(content["c_from_camera"]), size, volume,
-            _array(content["covariance"], 9, 9, known=False), _number(content["sigma"]),
+            checked.array(content["matrix"], 3, 3), checked.array(content["distortion"], 5), _pose(content["c_from_camera"]), size, volume,
+            checked.array(content["covariance"], 9, 9, known=False), checked.number(content["sigma"]),
         )  # fmt: skip
     if content["model"] not in {"two-plane", "joint"}:
         raise ValueError(f"camera model {content['model']!r}")
-    maps, field = _each(content["maps"], _plane_map), _field(content["field"])
+    maps, field = checked.each(content["maps"], _plane_map), _field(content["field"])
     if len(maps) < 2 or len(maps) != len(field.depths):
         raise ValueError(f"{len(maps)} plane maps and {len(field.depths)} depths; two or more, one a depth")
     return TwoPlaneCamera(maps, field, size, volume, content["model"])
 
 
+def _volume(content: dict[str, Any]) -> Volume:
+    normals, offsets = checked.array(content["normals"], -1, 3), checked.array(content["offsets"], -1)
+    if len(normals) != len(offsets):
+        raise ValueError(f"a volume of {len(normals)} normals and {len(offsets)} offsets; one each")
+    return Volume(normals, offsets)
+
+
 def _pose(content: dict[str, Any]) -> Pose:
-    return Pose(_rotation(content["rotation"]), _array(content["translation"], 3))
+    return Pose(checked.rotation(content["rotation"]), checked.array(content["translation"], 3))
 
 
 def _domain(content: dict[str, Any]) -> Domain:
-    return Domain(_array(content["homography"], 3, 3), _array(content["centre"], 2), _array(content["half"], 2))
+    return Domain(
+        checked.array(content["homography"], 3, 3),
+        checked.array(content["centre"], 2),
+        checked.array(content["half"], 2),
+    )
 
 
 def _plane_map(content: dict[str, Any]) -> PlaneMap:
-    terms = content["terms"] if content["terms"] in {"linear", "paper"} else _order(content["terms"])
+    terms = content["terms"] if content["terms"] in {"linear", "paper"} else checked.order(content["terms"])
     n = len(exponents(terms))
     return PlaneMap(
-        str(content["name"]), terms, _domain(content["domain"]), _array(content["coefficients"], n, 2),
-        _pose(content["c_from_plane"]), _array(content["inverse"], n, n, known=False), _number(content["sigma"]),
+        str(content["name"]), terms, _domain(content["domain"]), checked.array(content["coefficients"], n, 2),
+        _pose(content["c_from_plane"]), checked.array(content["inverse"], n, n, known=False), checked.number(content["sigma"]),
     )  # fmt: skip
 
 
 def _field(content: dict[str, Any]) -> RayField:
-    slope, origin = _order(content["slope_order"]), _order(content["origin_order"])
+    slope, origin = checked.order(content["slope_order"]), checked.order(content["origin_order"])
     n = len(exponents(slope)) + len(exponents(origin))
     return RayField(
-        _rotation(content["c_from_d"]), _domain(content["domain"]), slope, origin, float(content["pivot"]),
-        _positive(content["reach"]), _array(content["coefficients"], n, 2), _array(content["inverse"], n, n, known=False),
-        _number(content["sigma"]), _array(content["depths"], -1), float(content["forward"]),
+        checked.rotation(content["c_from_d"]), _domain(content["domain"]), slope, origin, float(content["pivot"]),
+        checked.positive(content["reach"]), checked.array(content["coefficients"], n, 2), checked.array(content["inverse"], n, n, known=False),
+        checked.number(content["sigma"]), checked.array(content["depths"], -1), float(content["forward"]),
     )  # fmt: skip
 
 
 def _frame(content: dict[str, Any]) -> SheetFrame:
-    return SheetFrame(_array(content["centre"], 3), _array(content["axes"], 2, 3), _positive(content["reach"]))
+    return SheetFrame(
+        checked.array(content["centre"], 3), checked.array(content["axes"], 2, 3), checked.positive(content["reach"])
+    )
 
 
 def _laser(content: dict[str, Any]) -> Laser:
     terms = len(content["covariance"])
     order_of(terms)
     return Laser(
-        str(content["name"]), _sheet(content["sheet"]), _frame(content["frame"]), _array(content["covariance"], terms, terms, known=False),
-        _array(content["origin"], 3, known=False), _one_of(content["along"], {"rows", "columns"}),
-        _one_of(content["channel"], _CHANNELS), _number(content["rms_mm"]),
-        _number(content["loo_mm"]), _number(content["flatness_mm"]), _number(content["flatness_sigma"]), int(content["n"]),
-        _each(
+        str(content["name"]), _sheet(content["sheet"]), _frame(content["frame"]), checked.array(content["covariance"], terms, terms, known=False),
+        checked.array(content["origin"], 3, known=False), checked.one_of(content["along"], {"rows", "columns"}),
+        checked.one_of(content["channel"], _CHANNELS), checked.number(content["rms_mm"]),
+        checked.number(content["loo_mm"]), checked.number(content["flatness_mm"]), checked.number(content["flatness_sigma"]), int(content["n"]),
+        checked.each(
             content["planes"],
-            lambda p: PlaneOfLight(str(p["plane"]), int(p["n"]), _number(p["rms_mm"]), _number(p["loo_mm"])),
+            lambda p: PlaneOfLight(str(p["plane"]), int(p["n"]), checked.number(p["rms_mm"]), checked.number(p["loo_mm"])),
         ),
     )  # fmt: skip
 
@@ -315,16 +293,16 @@ def _laser(content: dict[str, Any]) -> Laser:
 def _sheet(content: dict[str, Any]) -> Sheet:
     if content["kind"] == "curved":
         base = content["plane"]
-        plane = Plane(_unit(base["normal"]), float(base["offset"]))
+        plane = Plane(checked.unit(base["normal"]), float(base["offset"]))
         order_of(3 + len(content["curvature"]))
-        return CurvedSheet(plane, _frame(content["frame"]), _array(content["curvature"], -1))
-    return Plane(_unit(content["normal"]), float(content["offset"]))
+        return CurvedSheet(plane, _frame(content["frame"]), checked.array(content["curvature"], -1))
+    return Plane(checked.unit(content["normal"]), float(content["offset"]))
 
 
 def _stage(content: dict[str, Any]) -> Stage:
     if content["kind"] not in {"linear", "turntable"}:
         raise ValueError(f"stage {content['kind']!r}")
     return Stage(
-        content["kind"], _unit(content["direction"]), _array(content["point"], 3), _number(content["direction_sigma"]),
-        _number(content["scale"]), _number(content["rms_mm"]),
+        content["kind"], checked.unit(content["direction"]), checked.array(content["point"], 3), checked.number(content["direction_sigma"]),
+        checked.number(content["scale"]), checked.number(content["rms_mm"]),
     )  # fmt: skip

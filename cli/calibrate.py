@@ -7,7 +7,18 @@ from typing import Annotated, Literal
 
 import typer
 
-from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, progress, say, user_errors
+from cli.console import (
+    EXIT_NOT_TO_BE_USED,
+    AllowEdited,
+    Json,
+    Quiet,
+    Report,
+    emit,
+    progress,
+    say,
+    say_unsealed,
+    user_errors,
+)
 
 Model = Literal["auto", "two-plane", "joint", "pinhole"]
 
@@ -48,6 +59,7 @@ def verify(
     other: Annotated[
         Path | None, typer.Option("--with", help="calibration.toml with images the rig has not seen.")
     ] = None,
+    allow_edited: AllowEdited = False,
     report: Report = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -59,7 +71,9 @@ def verify(
 
     with user_errors():
         require_folder(report)
-        result = verify_rig(rig, other)
+        result = verify_rig(rig, other, allow_edited=allow_edited)
+        if not result["sealed"]:
+            say_unsealed(rig, quiet=quiet)
         if report is not None:
             write_text(report, verification_page(result))
             say(f"wrote {report}", quiet=quiet)

@@ -19,6 +19,9 @@ EXIT_NOT_TO_BE_USED = 3
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no talk on stderr.")]
+AllowEdited = Annotated[
+    bool, typer.Option("--allow-edited", help="Take a rig that was altered since its calibration, as unverified.")
+]
 Report = Annotated[Path | None, typer.Option("--report", help="Write a self-contained HTML page.")]
 
 
@@ -36,6 +39,15 @@ def say(text: str, *, quiet: bool) -> None:
     """Talk on stderr."""
     if not quiet:
         typer.echo(text, err=True)
+
+
+def say_unsealed(path: Path, *, quiet: bool) -> None:
+    """Tell once that a rig is of a version without seals."""
+    say(
+        f"{path} has no seal (it was written by an earlier version), so that an alteration would not be seen; calibrate "
+        "again to seal it",
+        quiet=quiet,
+    )
 
 
 def emit(result: dict[str, Any], *, as_json: bool, text: str) -> None:

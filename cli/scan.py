@@ -7,7 +7,18 @@ from typing import Annotated, Literal
 
 import typer
 
-from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, progress, say, user_errors
+from cli.console import (
+    EXIT_NOT_TO_BE_USED,
+    AllowEdited,
+    Json,
+    Quiet,
+    Report,
+    emit,
+    progress,
+    say,
+    say_unsealed,
+    user_errors,
+)
 
 Method = Literal["auto", "centroid", "gaussian", "ridge"]
 Which = Literal["strongest", "first", "last", "continuous"]
@@ -52,23 +63,28 @@ def scan(
     allow_unverified: Annotated[
         bool, typer.Option("--allow-unverified", help="Exit 0 although the rig is not verified.")
     ] = False,
+    allow_edited: AllowEdited = False,
     report: Report = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Range every stripe image of a capture and write one point cloud."""
     from calibration.atomic import require_folder, write_text
+    from calibration.rig import Rig
     from scope.report import scan_page, scan_result, scan_text
     from scope.scanning import scan_options, scan_to_file
 
     with user_errors():
         require_folder(report)
+        calibrated = Rig.load(rig, allow_edited=allow_edited)
+        if not calibrated.sealed:
+            say_unsealed(rig, quiet=quiet)
         with progress("scanning", quiet=quiet) as tick:
             options = scan_options(
                 method=method, which=which, normals=normals, max_sigma=max_sigma, extrapolate=extrapolate, isolated=isolated,
                 max_incidence=max_incidence, voxel=voxel,
             )  # fmt: skip
-            found = scan_to_file(capture, rig, out, options, resume=resume, on_frame=tick)
+            found = scan_to_file(capture, calibrated, out, options, resume=resume, on_frame=tick)
         say(f"wrote {out}", quiet=quiet)
         if report is not None:
             write_text(report, scan_page(found, capture))

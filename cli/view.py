@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cli.console import Json, Quiet, emit, say, user_errors
+from cli.console import AllowEdited, Json, Quiet, emit, say, user_errors
 
 
 def register(app: typer.Typer) -> None:
@@ -36,6 +36,7 @@ def view(
         Path | None, typer.Option("--out", "-o", help="Keep the page here; otherwise it is a temporary file.")
     ] = None,
     show: Annotated[bool, typer.Option("--show/--no-show", help="Open the page in the browser.")] = True,
+    allow_edited: AllowEdited = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -48,7 +49,7 @@ def view(
 
     with user_errors():
         require_folder(out)
-        html = view_page(path)
+        html = view_page(path, allow_edited=allow_edited)
         page = out or Path(tempfile.mkdtemp(prefix="scope-")) / f"{path.stem}.html"
         write_text(page, html)
     shown = show and webbrowser.open(page.resolve().as_uri())

@@ -19,7 +19,7 @@ SATURATED = 0.05  # share of the spots that may be clipped
 BLURRED = 0.12  # blur over diameter beyond which the plateau of a spot is gone
 
 
-def verify(rig_path: str | Path, other: str | Path | None = None) -> dict[str, Any]:
+def verify(rig_path: str | Path, other: str | Path | None = None, *, allow_edited: bool = False) -> dict[str, Any]:
     """Verification of a rig: what it says of itself, or its rays against images that it has not seen.
 
     Parameters
@@ -29,13 +29,15 @@ def verify(rig_path: str | Path, other: str | Path | None = None) -> dict[str, A
     other : path, optional
         A calibration file with other images. Planes with an ``origin`` test the rays as they stand; freehand views
         are first located by the rays and test their shape only.
+    allow_edited : bool
+        Take a rig that was altered since it was calibrated, as one that did not pass.
 
     Returns
     -------
     dict
-        ``passed``, ``why``, ``faults``, ``planes`` (name, rms_px, rms_mm, bias_mm), as JSON.
+        ``passed``, ``why``, ``faults``, ``planes`` (name, rms_px, rms_mm, bias_mm), ``sealed``, as JSON.
     """
-    rig = Rig.load(rig_path)
+    rig = Rig.load(rig_path, allow_edited=allow_edited)
     if other is None:
         told = rig.verification
         planes = [
@@ -47,6 +49,7 @@ def verify(rig_path: str | Path, other: str | Path | None = None) -> dict[str, A
             "faults": list(told.faults),
             "planes": planes,
             "accept": dict(rig.accept),
+            "sealed": rig.sealed,
         }
     plan = read_calibration(Path(other))
     rows, jig, faults = [], [], []
@@ -68,7 +71,7 @@ def verify(rig_path: str | Path, other: str | Path | None = None) -> dict[str, A
             jig.append(marks)
     if jig and isinstance(rig.camera, TwoPlaneCamera):
         faults += [fault_content(f) for f in faults_against(rig.camera.field, jig, lattice=lattice_of(plan))]
-    return _judged(plan, rig, rows, faults)
+    return {**_judged(plan, rig, rows, faults), "sealed": rig.sealed}
 
 
 def _judged(

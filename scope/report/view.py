@@ -18,11 +18,11 @@ _ALONG = 300  # points of a ray
 _SHEET = 160  # rays along the longer side of the image, that meet a sheet
 
 
-def view_page(path: Path) -> str:
+def view_page(path: Path, *, allow_edited: bool = False) -> str:
     """One self-contained HTML page of a cloud (PLY) or of a rig (JSON); ``FileError`` for anything else."""
     ending = path.suffix.lower()
     if ending == ".json":
-        return _rig_page(path, Rig.load(path))
+        return _rig_page(path, Rig.load(path, allow_edited=allow_edited))
     if ending == ".ply":
         return _cloud_page(path, ScanCloud.load(path))
     raise FileError(f"{path}: neither a cloud nor a rig; give a .ply of scope scan or a rig.json")
@@ -53,6 +53,8 @@ def _rig_page(path: Path, rig: Rig) -> str:
     page.verdict(
         "good" if verified.passed else "bad", f"{'Passed' if verified.passed else 'Not passed'}: {verified.why}."
     )
+    if not rig.sealed:
+        page.verdict("warn", "This rig has no seal (it is of an earlier version): an alteration would not be seen.")
     points, number = _rig_points(rig)
     if len(points):
         page.cloud(points, number, "Sighting rays and sheets of light within the calibrated volume, in C, mm")

@@ -34,7 +34,7 @@ _FRAMES = 1024  # whose sensors are held at once
 
 def scan_to_file(
     capture: Path,
-    rig_path: Path,
+    rig: Rig | Path,
     out: Path,
     options: ScanOptions,
     *,
@@ -50,7 +50,7 @@ def scan_to_file(
     require_folder(out)
     require_format(out)
     started = time.perf_counter()
-    rig = Rig.load(rig_path)
+    rig = rig if isinstance(rig, Rig) else Rig.load(rig)
     identity = {"capture": sha256_of(capture) if capture.is_file() else "", "rig": rig.sha256, "options": repr(options)}
     part = out.with_name(out.name + ".part")
     statistics = ScanStatistics()

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from calibration.rig import Rig
 from cli.main import app
 
 Argv = list[str]
@@ -620,8 +622,22 @@ def a_stage_that_the_rig_does_not_have(s: Folder) -> Argv:
 @refused(r"capture\.toml", "'cell-9'", "'cell-8'", "rig of this camera")
 def a_capture_of_another_camera(s: Folder) -> Argv:
     s.edit("capture.toml", "units", 'camera_id = "cell-9"\nunits')
+    replace(Rig.load(s / "rig.json"), camera_id="cell-8").save(s / "rig.json")
+    return s.scan()
+
+
+@refused(r"rig\.json", "altered since it was calibrated: camera_id", "--allow-edited")
+def a_rig_with_another_name(s: Folder) -> Argv:
     s.edit("rig.json", '"camera_id": ""', '"camera_id": "cell-8"')
     return s.scan()
+
+
+@refused(r"rig\.json", "damaged or edited", "volume", "calibrate again")
+def a_rig_whose_volume_lost_an_offset(s: Folder) -> Argv:
+    content = json.loads((s / "rig.json").read_text(encoding="utf-8"))
+    content["camera"]["volume"]["offsets"].pop()
+    (s / "rig.json").write_text(json.dumps(content), encoding="utf-8")
+    return s.scan("--allow-edited")
 
 
 @refused(r"capture\.toml", "'red'", "the rig has laser")
