@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,6 +29,13 @@ Report = Annotated[Path | None, typer.Option("--report", help="Write a self-cont
 @contextmanager
 def user_errors() -> Iterator[None]:
     """Turn bad data into one line on stderr and exit status 1; a caller's bug still shows its traceback."""
+    with warnings.catch_warnings():
+        if not sys.warnoptions:
+            warnings.simplefilter("ignore")  # what libraries say of damaged numbers is no message to a user
+        yield from _one_line()
+
+
+def _one_line() -> Iterator[None]:
     try:
         yield
     except ScopeError as error:

@@ -26,7 +26,7 @@ def register(app: typer.Typer) -> None:
 
 
 def pose(
-    cloud: Annotated[Path, typer.Argument(help="Point cloud, cloud.ply.")],
+    cloud: Annotated[Path, typer.Argument(help="Point cloud: PLY, PCD, XYZ, LAS or E57.")],
     model: Annotated[Path, typer.Option("--model", "-m", help="Mesh of the part: STL, OBJ or PLY, mm.")],
     region: Where = None,
     at: Annotated[
@@ -52,7 +52,7 @@ def pose(
 ) -> None:
     """Find a known part in a scan: position, orientation and how sure they are; exit 3 where the answer is not sure."""
     from calibration.atomic import require_folder, write_text
-    from scope.cloud import ScanCloud
+    from scope.cloud import ScanCloud, unknown
     from scope.pose import (
         estimate_pose,
         frame_of,
@@ -83,6 +83,8 @@ def pose(
         if report is not None:
             write_text(report, pose_html(scan, placed))
             say(f"wrote {report}", quiet=quiet)
+    if unread := unknown(scan, cloud.name):
+        say(unread, quiet=quiet)
     emit(pose_result(placed), as_json=as_json, text=pose_text(placed))
     if not result.found:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
@@ -109,7 +111,7 @@ def check(
         out_of_tolerance,
         repeat_result,
     )
-    from scope.cloud import ScanCloud
+    from scope.cloud import ScanCloud, unknown
 
     with user_errors():
         with _usage():
@@ -126,6 +128,9 @@ def check(
             checks = repeat.checks
             told = repeat_result(repeat)
             text = "\n".join([*(check_text(c) for c in checks), f"repeatability {repeat.worst_mm:.4f} mm (one sigma)"])
+    for path, scan in zip(clouds, scans, strict=True):
+        if unread := unknown(scan, path.name):
+            say(unread, quiet=quiet)
     emit(told, as_json=as_json, text=text)
     if out_of_tolerance(checks):
         say("do not rely on this scanner before it is calibrated again", quiet=quiet)

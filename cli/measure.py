@@ -16,7 +16,9 @@ def register(app: typer.Typer) -> None:
 
 
 def roughness(
-    cloud: Annotated[Path, typer.Argument(help="Cloud (.ply), or height map (.npy .asc .txt .xyz .sdf .x3p), mm.")],
+    cloud: Annotated[
+        Path, typer.Argument(help="Cloud (.ply .pcd .las .e57), or height map (.npy .asc .txt .xyz .sdf .x3p), mm.")
+    ],
     region: Annotated[
         list[str] | None,
         typer.Option(

@@ -17,21 +17,25 @@ def register(app: typer.Typer) -> None:
 
 
 def export(
-    cloud: Annotated[Path, typer.Argument(help="cloud.ply")],
-    out: Annotated[Path, typer.Argument(help="out.ply, .pcd, .xyz, .las, .e57 or .stl")],
+    cloud: Annotated[Path, typer.Argument(help="Cloud: .ply, .pcd, .xyz, .txt, .las, .laz or .e57")],
+    out: Annotated[Path, typer.Argument(help="out.ply, .pcd, .xyz, .las, .laz, .e57 or .stl")],
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write a cloud in another format, mesh included."""
-    from scope.cloud import ScanCloud
+    from scope.cloud import ScanCloud, not_carried, unknown
 
     with user_errors():
         found = ScanCloud.load(cloud)
         found.save(out)
+    for line in (unknown(found, cloud.name), not_carried(found, out)):
+        if line:
+            say(line, quiet=quiet)
     emit({"points": len(found)}, as_json=as_json, text=f"wrote {len(found)} points to {out}")
 
 
 def view(
-    path: Annotated[Path, typer.Argument(help="cloud.ply or rig.json")],
+    path: Annotated[Path, typer.Argument(help="A cloud (.ply, .pcd, .xyz, .las, .e57) or rig.json")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Keep the page here; otherwise it is a temporary file.")
     ] = None,

@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration.geometry import Array, Bools, rotation_from_quaternion
 from scope.check.shapes import CUT, LEAST, Shape, find_cylinder, find_sphere, fit_levels, fit_shape
-from scope.cloud import Region, ScanCloud
+from scope.cloud import Region, ScanCloud, refuse_sheet
 from scope.errors import MeasurementError
 from scope.pose import largest_plane, normals_of, shared_errors, sheet_and_window, thin, viewpoints
 
@@ -135,6 +135,7 @@ def check_artefact(
         raise MeasurementError(
             f"{where} has {len(part)} points, {LEAST} needed; scan the artefact or choose another region"
         )
+    refuse_sheet(cloud)
     span = float(np.ptp(cloud.points[:, 2]))
     if known.kind == "steps":
         return _steps(part, known, tolerance, span)

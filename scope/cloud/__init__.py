@@ -1,7 +1,8 @@
 """scope.cloud."""
 
 from scope.cloud.columns import Sensors
-from scope.cloud.files import SENSOR, VERTEX, comments, require_format, sensor_records, vertex_records
+from scope.cloud.fields import SENSOR, VERTEX
+from scope.cloud.files import READ, comments, not_carried, require_format, sensor_records, unknown, vertex_records
 from scope.cloud.filters import FilterOptions, filtered
 from scope.cloud.lattice import lattice_index, lattice_lines
 from scope.cloud.near_mesh import NEAR, Mesh, read_mesh
@@ -9,6 +10,7 @@ from scope.cloud.normals import lattice_normals, lattice_spacing
 from scope.cloud.region import Box, Polygon, Region
 from scope.cloud.region_text import parse_region, require_names
 from scope.cloud.scan_cloud import ScanCloud
+from scope.cloud.sheet import refuse_sheet
 
 __all__ = [
     "Box",
@@ -16,6 +18,7 @@ __all__ = [
     "Mesh",
     "NEAR",
     "Polygon",
+    "READ",
     "Region",
     "SENSOR",
     "ScanCloud",
@@ -27,10 +30,13 @@ __all__ = [
     "lattice_lines",
     "lattice_normals",
     "lattice_spacing",
+    "not_carried",
     "parse_region",
     "read_mesh",
+    "refuse_sheet",
     "require_format",
     "require_names",
     "sensor_records",
+    "unknown",
     "vertex_records",
 ]

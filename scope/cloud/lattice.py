@@ -6,6 +6,10 @@ import numpy as np
 
 from calibration.geometry import Array, Ints
 from scope.cloud.columns import Columns
+from scope.errors import MeasurementError
+
+_SPARSEST = 200  # places of the lattice for each point
+_SMALL = 20_000_000  # places that are always granted
 
 
 def lattice_lines(cloud: Columns) -> Ints:
@@ -30,7 +34,7 @@ def lattice_index(cloud: Columns, laser: int) -> Ints:
     """Index of the point at (frame, line) of one laser, as (frames, lines), -1 where there is none.
 
     Frames and lines are counted from the first that has a point, frames in steps of the laser's own where lasers take
-    turns; (0, 0) where there is no lattice.
+    turns; (0, 0) where there is no lattice. ``MeasurementError`` where the points are too few for their frames and lines.
     """
     lines = lattice_lines(cloud)
     rows = np.flatnonzero((cloud.laser == laser) & (lines >= 0))
@@ -38,7 +42,13 @@ def lattice_index(cloud: Columns, laser: int) -> Ints:
         return np.zeros((0, 0), dtype=np.int64)
     frame, line = cloud.frame[rows] - cloud.frame[rows].min(), lines[rows] - lines[rows].min()
     frame = frame // max(1, int(np.gcd.reduce(frame)))
-    index = np.full((int(frame.max()) + 1, int(line.max()) + 1), -1, dtype=np.int64)
+    frames, width = int(frame.max()) + 1, int(line.max()) + 1
+    if frames * width > _SPARSEST * len(rows) + _SMALL:
+        raise MeasurementError(
+            f"{len(rows)} points are spread over {frames} frames of {width} lines, which is no scan; the file is damaged, or give "
+            "a part of it"
+        )
+    index = np.full((frames, width), -1, dtype=np.int64)
     index[frame, line] = rows
     return index
 

@@ -5,6 +5,7 @@ Source: G. Turk, The PLY Polygon File Format (1994).
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -31,6 +32,7 @@ _NAMES = {
     "f4": "float",
     "f8": "double",
 }
+_COUNT = re.compile(r"[0-9]{1,18}")
 _HEADER_LIMIT = 1 << 16  # bytes
 
 
@@ -78,6 +80,8 @@ def _read(path: Path, stream: BinaryIO, size: int) -> Ply:
     for name, count, fields in layout:
         if any(kind is None for _, kind in fields):
             break
+        if not fields:
+            raise FileError(f"{path}: its element {name} has no property; write or copy the file again")
         native = np.dtype([(field, f"<{kind}") for field, kind in fields])
         if order == "ascii":
             elements[name] = _read_ascii(path, stream, name, count, native, size)
@@ -117,7 +121,7 @@ def _read_header(
                 order = "ascii"
             case ["comment", *_]:
                 comments.append(line[len("comment") :].strip())
-            case ["element", name, count] if count.isdigit():
+            case ["element", name, count] if _COUNT.fullmatch(count) and name not in {told[0] for told in layout}:
                 layout.append((name, int(count), []))
             case ["property", "list", _, _, field] if layout:
                 layout[-1][2].append((field, None))
@@ -139,9 +143,13 @@ def _read_ascii(path: Path, stream: BinaryIO, name: str, count: int, dtype: np.d
     for i in range(count):
         words = stream.readline().split()
         try:
-            rows[i] = tuple(float(word) for word in words[: len(fields)])
-        except ValueError as error:
+            rows[i] = tuple(
+                float(word) if dtype[field].kind == "f" else int(float(word))
+                for word, field in zip(words[: len(fields)], fields, strict=True)
+            )
+        except (ValueError, OverflowError) as error:
+            shown = b" ".join(words[:6]).decode("ascii", "replace")[:60]
             raise FileError(
-                f"{path}: row {i} of element {name} holds {words[:6]}, not {len(fields)} numbers"
+                f"{path}: row {i} of element {name} holds {shown!r}, not {len(fields)} numbers of its types"
             ) from error
     return rows

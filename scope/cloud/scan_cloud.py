@@ -21,7 +21,7 @@ class ScanCloud(Columns):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a cloud from a file that `save` wrote, or any PLY with x, y, z."""
+        """Read a cloud from a file that `save` wrote, or of any maker: PLY, PCD, XYZ, LAS, LAZ, E57."""
         columns = read_cloud(Path(path))
         return cls(**{each.name: getattr(columns, each.name) for each in fields(Columns)})
 

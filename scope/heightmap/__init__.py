@@ -1,7 +1,7 @@
 """scope.heightmap."""
 
 from scope.heightmap.edges import refuse_edges
-from scope.heightmap.files import ENDINGS, NoLatticeError, read_heights, read_xyz, within
+from scope.heightmap.files import ENDINGS, NoLatticeError, read_heights, within
 from scope.heightmap.filters import (
     ALPHA,
     SAMPLES_PER_INDEX,
@@ -36,7 +36,6 @@ __all__ = [
     "patch_heights",
     "power_spectrum",
     "read_heights",
-    "read_xyz",
     "refuse_edges",
     "remove_form",
     "remove_model",

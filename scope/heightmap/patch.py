@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.geometry import Array, Ints, fit_plane
-from scope.cloud import Region, ScanCloud, lattice_index, lattice_lines
+from scope.cloud import Region, ScanCloud, lattice_index, lattice_lines, refuse_sheet
 from scope.errors import MeasurementError
 from scope.heightmap.heights import HeightMap
 
 LEAST_POINTS = 1000
 DEEPEST = 10.0  # mm rms: beyond, it is no roughness but a shape or a wrong unit
 _FINEST_PITCH = 1e-3  # mm: finer than a laser scanner samples
+_EMPTIEST = 400.0  # cells of a grid for each point, beyond which points are scattered and no surface
 _LARGEST_SKEW = 0.17  # |cos| between rows and columns: beyond 10 degrees the lattice is no rectangle
 
 
@@ -46,12 +47,14 @@ def patch_heights(cloud: ScanCloud, region: Region | None = None) -> HeightMap:
         An empty region, fewer than 1,000 points, a single profile, or points on a line.
     """
     part, notes = _selected(cloud, region)
+    notes = (*cloud.notes, *notes)
     index = _thinned(lattice_index(part, int(part.laser[0])))
     if max(index.shape) >= 2 and min(index.shape) < 2:
         raise MeasurementError(
             f"the region holds a single profile of {len(part)} points; an areal measurement needs a scan of many "
             "frames: choose a wider region"
         )
+    refuse_sheet(cloud)
     _refuse_depth(part)
     frame = _Levelled.of(part)
     sigma = _height_sigma(part, frame)
@@ -229,6 +232,11 @@ def _gridded(part: ScanCloud, frame: _Levelled, notes: tuple[str, ...]) -> Heigh
     pitch = float(np.sqrt(ConvexHull(flat).volume / len(flat)))
     low, high = flat.min(axis=0), flat.max(axis=0)
     counts = np.maximum(((high - low) / pitch).astype(int), 1)
+    if float(np.prod((high - low) / pitch)) > _EMPTIEST * len(flat):
+        raise MeasurementError(
+            f"{len(flat)} points lie scattered over {high[0] - low[0]:.3g} x {high[1] - low[1]:.3g} mm, far from an even cover; "
+            "choose a region of the surface"
+        )
     along, down = (low[k] + pitch * (np.arange(counts[k]) + 0.5) for k in (0, 1))
     x, y = np.meshgrid(along, down)
     nodes = np.stack([x.ravel(), y.ravel()], axis=1)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.geometry import Pose
-from scope.cloud import Region, ScanCloud
+from scope.cloud import Region, ScanCloud, refuse_sheet
 from scope.errors import MeasurementError
 from scope.model import Model, Surface
 from scope.pose import segmentation
@@ -56,6 +56,7 @@ def estimate_pose(
     chosen = options or PoseOptions()
     prepared = model if isinstance(model, Model) else load_model(model)
     sides = np.sort(np.ptp(prepared.vertices, axis=0))
+    refuse_sheet(cloud)
     if len(cloud):
         _require_units(cloud, prepared, region)
     surface = Surface(prepared.vertices, prepared.faces)

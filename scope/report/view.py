@@ -9,7 +9,7 @@ import numpy as np
 from calibration.errors import FileError
 from calibration.geometry import Array, Rays
 from calibration.rig import Rig
-from scope.cloud import ScanCloud
+from scope.cloud import READ, ScanCloud, unknown
 from scope.report.page import Page
 from scope.report.scan import add_uncertainty, add_views
 
@@ -19,13 +19,13 @@ _SHEET = 160  # rays along the longer side of the image, that meet a sheet
 
 
 def view_page(path: Path, *, allow_edited: bool = False) -> str:
-    """One self-contained HTML page of a cloud (PLY) or of a rig (JSON); ``FileError`` for anything else."""
+    """One self-contained HTML page of a cloud or of a rig (JSON); ``FileError`` for anything else."""
     ending = path.suffix.lower()
     if ending == ".json":
         return _rig_page(path, Rig.load(path, allow_edited=allow_edited))
-    if ending == ".ply":
+    if ending in READ:
         return _cloud_page(path, ScanCloud.load(path))
-    raise FileError(f"{path}: neither a cloud nor a rig; give a .ply of scope scan or a rig.json")
+    raise FileError(f"{path}: neither a cloud nor a rig; give a cloud, such as the .ply of scope scan, or a rig.json")
 
 
 def _cloud_page(path: Path, cloud: ScanCloud) -> str:
@@ -40,6 +40,8 @@ def _cloud_page(path: Path, cloud: ScanCloud) -> str:
         state = "verified rig" if cloud.verified else "rig that is not verified: do not use it"
         text += f"; {'complete' if cloud.complete else 'incomplete'}, from a {state}"
     page.verdict("good" if cloud.verified and cloud.complete else "warn", f"{text}.")
+    if unread := unknown(cloud, path.name):
+        page.text(unread)
     page.cloud(cloud.points, cloud.points[:, 2], "Coloured by z. Drag to turn, wheel to zoom, shift-drag to move")
     add_views(page, cloud)
     if np.isfinite(cloud.sigma).any():

@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from calibration.errors import FileError
 from calibration.geometry import Pose
 from scope.cloud import Region, ScanCloud
 from scope.errors import MeasurementError
-from scope.heightmap import ENDINGS, HeightMap, NoLatticeError, read_heights, read_xyz, within
+from scope.heightmap import ENDINGS, HeightMap, NoLatticeError, read_heights, within
 from scope.roughness.measure import Roughness, RoughnessOptions, measure_heights, measure_roughness
 
 
@@ -51,16 +49,6 @@ def _map_of(source: Path, pitch: tuple[float, float] | None) -> HeightMap | None
         return None
 
 
-def _cloud_of(source: Path) -> ScanCloud:
-    if source.suffix.lower() != ".xyz":
-        return ScanCloud.load(source)
-    points = read_xyz(source)
-    bad = int((~np.isfinite(points).all(axis=1)).sum())
-    if bad:
-        raise FileError(f"{source}: {bad} of {len(points)} points are NaN or infinite; remove them, then try again")
-    return ScanCloud.from_points(points)
-
-
 def run_roughness(
     source: Path,
     regions: Sequence[tuple[str, Region | None]],
@@ -69,7 +57,7 @@ def run_roughness(
     noise: Path | None = None,
     pitch: tuple[float, float] | None = None,
 ) -> list[Roughness]:
-    """Measure every region of a cloud (.ply) or of a height map (.npy, .asc, .txt, .xyz, .sdf, .x3p).
+    """Measure every region of a cloud (.ply, .pcd, .las, .laz, .e57) or of a height map (.npy, .asc, .txt, .xyz, .sdf, .x3p).
 
     An .xyz whose points stand on no lattice is a cloud without scan order.     ``pitch`` is that of a height map which tells none, mm (down, along). An error in one region names it.
     """
@@ -80,7 +68,7 @@ def run_roughness(
     if not is_map:
         if pitch is not None:
             raise FileError(f"{source}: is a cloud, which has a pitch of its own; leave --pitch away")
-        cloud = _cloud_of(source)
+        cloud = ScanCloud.load(source)
         repeat = None if noise is None else ScanCloud.load(noise)
     found = []
     for name, region in regions or [(source.name, None)]:
