@@ -181,7 +181,7 @@ def test_a_cloud_in_one_sheet_of_light_is_refused(step: float, along: int, refus
     pixels = 900.0 * np.stack([local[:, 1], local[:, 0] + 100.0], axis=1) / local[:, 2:]  # of a camera at (-100, 0, 0)
     shift = np.zeros((8, 3))
     shift[:, along] = step * np.arange(8)
-    centre = shift + [-100.0, 0.0, 0.0]
+    centre = shift + np.array([-100.0, 0.0, 0.0])
     points = local + shift[cloud.frame]
     moved = replace(
         cloud, points=points, pixels=pixels.astype(np.float32), sensors=replace(cloud.sensors, centre=centre)
