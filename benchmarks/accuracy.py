@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
 
-from benchmarks.shared import head, judge, require, row
+from benchmarks.shared import head, judge, require, row, twin_capture
 from calibration.geometry import Array
 from calibration.rig import Rig
 from scope.calibrating import Calibration, calibrate
@@ -61,7 +63,9 @@ def twin() -> None:
     middle = middle - (middle @ normal - offset) * normal
     row("twin-a: laser plane: angle, deg; offset, mm (in the middle of the volume, mm)", "0.0004; 0.002", "no worse",
         f"{angle:.4f}; {abs(sign * laser.offset - offset):.4f} ({abs(laser.distance(middle[None])[0]):.4f})")  # fmt: skip
-    result = judge().judge(folder, run_scan(folder / "capture.toml", found.rig).cloud.points)
+    with TemporaryDirectory() as place:
+        capture = twin_capture(folder, Path(place))
+        result = judge().judge(folder, run_scan(capture, found.rig).cloud.points)
     steps = [result[f"step{h}"] for h in (2, 8, 16)]
     row("twin-a: steps 2, 8, 16: bias, mm", "0.005", "<= 0.004", ", ".join(f"{s['error']:+.4f}" for s in steps))
     row(

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.shared import twin_capture
 from calibration.geometry import Array
 from scope import simulation
 from scope.calibrating import calibrate
@@ -171,7 +172,8 @@ def twin(folder: Path) -> None:
         found: dict[str, Any] = judge.judge(place, cloud.points)
         return found
 
-    clouds = [run_scan(place / "capture.toml", rig, options=scan_options(method=m)).cloud for m in ("centroid", "auto")]  # type: ignore[arg-type]
+    capture = twin_capture(place, folder)
+    clouds = [run_scan(capture, rig, options=scan_options(method=m)).cloud for m in ("centroid", "auto")]  # type: ignore[arg-type]
     peer, ours = (judged(cloud) for cloud in clouds)
     truth = json.loads((place / "truth" / "truth.json").read_text(encoding="utf-8"))
     for key, reach in (

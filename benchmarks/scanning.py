@@ -75,7 +75,7 @@ def capture_of(folder: Path, count: int) -> Path:
     rows = "".join(f"{k},{STEP * frame}\n" for k, frame in enumerate(shown))
     (place / "stage.csv").write_text("frame,position\n" + rows)
     (place / "capture.toml").write_text(
-        'format = 1\nimages = "frames/*.png"\n[motion]\nkind = "linear"\ndirection = [0, 1, 0]\npositions = "stage.csv"\n'
+        'format = 1\nimages = "frames/*.png"\n[motion]\nkind = "linear"\nmoves = "object"\ndirection = [0, 1, 0]\npositions = "stage.csv"\n'
     )
     return place / "capture.toml"
 

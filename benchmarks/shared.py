@@ -9,6 +9,14 @@ from types import ModuleType
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
+def twin_capture(folder: Path, place: Path) -> Path:
+    """capture.toml of twin-a, written into ``place`` with `moves`, which it is too old to have."""
+    text = (folder / "capture.toml").read_text(encoding="utf-8")
+    text = text.replace('images = "', f'images = "{folder}/').replace("[motion]", '[motion]\nmoves = "object"')
+    (place / "capture.toml").write_text(text, encoding="utf-8")
+    return place / "capture.toml"
+
+
 def require(name: str) -> Path:
     """Folder of a shared capture; exits with a sentence where it is absent."""
     folder = SHARED / name

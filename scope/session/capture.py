@@ -16,7 +16,7 @@ from ranging.motion import Fixed, Linear, Motion, Poses, Positions, Turntable
 from scope.session.toml_file import MM, Number, Section, Units, Vector, matching, numbers, read_csv, read_toml
 
 Channel = Literal["auto", "red", "green", "blue", "gray"]
-_MOST_NUMBERS = 10_000_000  # between the first and the last frame
+_MOST_NUMBERS = 1_000_000  # between the first and the last frame
 _MATRIX = tuple(f"m{i}{j}" for i in range(4) for j in range(4))
 
 
@@ -24,7 +24,7 @@ class MotionSection(Section):
     """[motion]: how object and sensor move against each other."""
 
     kind: Literal["fixed", "linear", "turntable", "poses"] = "fixed"
-    moves: Literal["object", "sensor"] = "object"
+    moves: Literal["object", "sensor"] | None = None
     direction: Vector | Literal["rig"] | None = None
     axis: Literal["rig"] | None = None
     axis_point: Vector | None = None
@@ -52,6 +52,11 @@ class MotionSection(Section):
             raise ValueError('axis_point and axis_direction are needed, or axis = "rig"')
         if self.kind in {"linear", "turntable"} and (self.step is None) == (self.positions is None):
             raise ValueError("give either step or positions")
+        if self.kind in {"linear", "turntable"} and self.moves is None:
+            raise ValueError(
+                'moves is missing, and the wrong one mirrors the motion; add moves = "object" (the sensor stands still) or '
+                'moves = "sensor"'
+            )
         if self.step == 0:
             raise ValueError("step is 0: every frame would show the same profile; give the distance between frames")
         for key in ("direction", "axis_direction"):
@@ -86,7 +91,7 @@ class CaptureSection(Section):
     channel: Channel = "auto"
     lasers: Annotated[list[str] | None, BeforeValidator(_names)] = None
     sequence: Literal["together", "cycle"] = "together"
-    motion: MotionSection = MotionSection()
+    motion: MotionSection | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> CaptureSection:
@@ -158,17 +163,30 @@ def read_capture(path: Path) -> Capture:
         raise FileError(f"{path}: {len(images)} images; alternate needs pairs of on and off: complete the last")
     shown = images[::2] if mode == "alternate" else images
     frame_numbers = _frame_numbers(path, raw, shown)
-    motion = _motion(path, raw.motion, shown, mm)
+    require_motion(path, raw, len(shown))
+    section = raw.motion or MotionSection()
+    motion = _motion(path, section, shown, mm)
     lasers = None if raw.lasers is None else tuple(raw.lasers)
     return Capture(
         path, raw.camera_id, images, video, raw.camera, raw.frames, background, mode, raw.channel, lasers, raw.sequence,
-        motion, frame_numbers, raw.motion.step is not None,
+        motion, frame_numbers, section.step is not None,
     )  # fmt: skip
+
+
+def require_motion(path: Path, raw: CaptureSection, images: int) -> None:
+    """``FileError`` where a capture of more than one frame does not say how anything moves: nothing else places its profiles."""
+    if raw.motion is not None or images == 1 or (raw.camera is not None and raw.frames == 1):
+        return
+    found = f"{images} frames" if images else "a video" if raw.video is not None else "a camera"
+    raise FileError(
+        f'{path}: {found} and no [motion], so that every profile would lie on the first; add [motion] with kind = "linear" '
+        '(direction, step, moves), "turntable" (axis_point, axis_direction, step, moves), "poses", or "fixed" where nothing moves'
+    )
 
 
 def _frame_numbers(path: Path, raw: CaptureSection, images: tuple[Path, ...]) -> tuple[int, ...] | None:
     """Numbers from the file names where asked for; a gap in them is refused where only a step says where frames are."""
-    if not images or raw.motion.kind == "fixed":
+    if not images or raw.motion is None or raw.motion.kind == "fixed":
         return None
     found = [re.search(r"(\d+)\D*$", image.stem) for image in images]
     if raw.motion.index == "filename":

@@ -619,6 +619,31 @@ def a_stage_that_the_rig_does_not_have(s: Folder) -> Argv:
     return s.scan()
 
 
+@refused(r"capture\.toml", "moves is missing", 'moves = "object"', 'moves = "sensor"')
+def a_motion_of_nobody(s: Folder) -> Argv:
+    s.edit("capture.toml", 'moves = "object"\n', "")
+    return s.scan()
+
+
+@refused(r"capture\.toml", r"12 frames and no \[motion\]", "direction, step, moves", "turntable")
+def frames_without_motion(s: Folder) -> Argv:
+    text = (s / "capture.toml").read_text(encoding="utf-8").split("[motion]")[0]
+    (s / "capture.toml").write_text(text, encoding="utf-8")
+    return s.scan()
+
+
+@refused(r"capture\.toml", "a camera and no", "add")
+def a_camera_without_motion(s: Folder) -> Argv:
+    text = (
+        (s / "capture.toml")
+        .read_text(encoding="utf-8")
+        .split("[motion]")[0]
+        .replace('images = "frames/*.png"', "camera = 63")
+    )
+    (s / "capture.toml").write_text(text, encoding="utf-8")
+    return s.scan()
+
+
 @refused(r"capture\.toml", "'cell-9'", "'cell-8'", "rig of this camera")
 def a_capture_of_another_camera(s: Folder) -> Argv:
     s.edit("capture.toml", "units", 'camera_id = "cell-9"\nunits')

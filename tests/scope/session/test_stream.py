@@ -33,7 +33,8 @@ def video(folder: Path, count: int = 20) -> Path:
 
 def capture(folder: Path, text: str) -> Path:
     path = folder / "capture.toml"
-    path.write_text(f"format = 1\n{text}\n")
+    still = "" if "[motion]" in text else '[motion]\nkind = "fixed"\n'
+    path.write_text(f"format = 1\n{text}\n{still}")
     return path
 
 
@@ -104,7 +105,7 @@ def test_dropped_frames_matter_only_where_a_step_places_them(tmp_path: Path) -> 
             return {cv2.CAP_PROP_FPS: 25.0, cv2.CAP_PROP_POS_MSEC: 40.0 * self.given + late}.get(what, 0.0)
 
     video(tmp_path)
-    motion = '[motion]\nkind = "linear"\ndirection = [0, 1, 0]\nstep = 0.5'
+    motion = '[motion]\nkind = "linear"\nmoves = "object"\ndirection = [0, 1, 0]\nstep = 0.5'
     for text, told in ((motion, "3 frames were dropped before frame 5"), ("", "")):
         source = Stream(read_capture(capture(tmp_path, f'video = "sweep.avi"\n{text}')), Skipping(9), "sweep.avi", 9)
         assert len(list(in_order(source, level))) == 9
