@@ -125,12 +125,8 @@ def check_plane(path: str | Path, name: str) -> dict[str, Any]:
         Of the plane: name, found, expected, missing, rejected (reasons counted), saturated, blurred, moved, repeat_px,
         fit_px, loo_px, and ``remedy``, empty where the images are good.
     """
-    plan = read_calibration(Path(path))
-    plane = next((p for p in plan.planes if p.name == name), None)
-    if plane is None:
-        raise FileError(
-            f"{plan.path}: no plane is called {name!r}; the planes are {', '.join(p.name for p in plan.planes)}"
-        )
+    plan = read_calibration(Path(path), only=name)
+    (plane,) = plan.planes
     try:
         return _checked(plan, plane)
     except CalibrationError as error:

@@ -154,8 +154,10 @@ def _resumed(part: Path, identity: dict[str, str], statistics: ScanStatistics) -
     try:
         with part.open("rb") as stream:
             told = _json_line(stream)
+    except FileNotFoundError:
+        return 0  # nothing to resume: the scan begins
     except OSError as error:
-        raise FileError(f"{part}: nothing to resume ({error.strerror}); scan without --resume") from error
+        raise FileError(f"{part}: cannot be read ({error.strerror}); scan without --resume") from error
     if told != identity:
         raise FileError(f"{part}: is of another capture, rig or options; scan without --resume, or restore them")
     end = len(json.dumps(identity)) + 1

@@ -208,9 +208,14 @@ class CalibrationPlan:
         return list(dict.fromkeys(found))
 
 
-def read_calibration(path: Path) -> CalibrationPlan:
-    """Read calibration.toml; ``FileError`` names file, key, what was found and what is allowed."""
+def read_calibration(path: Path, *, only: str | None = None) -> CalibrationPlan:
+    """Read calibration.toml; ``FileError`` names file, key, what was found and what is allowed.
+
+    With ``only``, the plane of that name alone, without its lasers: what is judged at the jig needs no other image.
+    """
     raw = read_toml(path, CalibrationSection)
+    if only is not None:
+        raw = _alone(path, raw, only)
     mm = MM[raw.units]
     lasers = _lasers(path, raw, mm)
     names = [laser.name for laser in lasers]
@@ -233,6 +238,24 @@ def read_calibration(path: Path) -> CalibrationPlan:
                     f"{path}: plane {plane.name}: target.kind is 'listed' and `points` is missing; name its CSV"
                 )
     return CalibrationPlan(path, raw.camera_id, target, raw.target.polarity, limits, lasers, planes, stages)
+
+
+def _alone(path: Path, raw: CalibrationSection, name: str) -> CalibrationSection:
+    """The file as if it had one plane and neither lasers nor stages; ``FileError`` where none, or two, are called ``name``."""
+    names = []
+    for section in raw.plane:
+        try:
+            names.append(section.name or _images(path, section.images, "plane.images")[0].stem)
+        except FileError:  # its images are still to be taken
+            names.append("")
+    chosen = [section for section, found in zip(raw.plane, names, strict=True) if found == name]
+    if not chosen:
+        known = ", ".join(found for found in names if found)
+        raise FileError(f"{path}: no plane is called {name!r}; the planes are {known}")
+    if len(chosen) > 1:
+        raise FileError(f"{path}: two planes are called {name!r}; give each a name of its own")
+    one = chosen[0].model_copy(update={"name": name, "laser": None, "background": None})
+    return raw.model_copy(update={"plane": [one], "stage": []})
 
 
 def _target(section: TargetSection, mm: float) -> SpotGrid | Chessboard | Charuco | None:

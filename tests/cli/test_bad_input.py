@@ -810,11 +810,6 @@ def a_position_too_few(s: Folder) -> Argv:
     return s.scan()
 
 
-@refused(r"new\.ply\.part", "nothing to resume", "without --resume")
-def nothing_to_resume(s: Folder) -> Argv:
-    return s.scan("--resume")
-
-
 @refused(r"new\.ply\.part", "another capture", "without --resume")
 def a_part_of_something_else(s: Folder) -> Argv:
     (s / "new.ply.part").write_text('{"capture": "other"}\n', encoding="utf-8")

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.errors import FileError
 from scope.calibrating import calibrate, check_plane, verify
 from scope.report import calibration_page, calibration_text
 
@@ -57,3 +58,16 @@ def test_a_black_image_is_no_good_at_the_jig(copy_of_session) -> None:
     bad = check_plane(copy.calibration, "w330")
     assert "is black" in bad["remedy"]
     assert set(good) == set(bad)
+
+
+def test_a_plane_is_judged_at_the_jig_before_the_others_and_the_laser_are_taken(copy_of_session) -> None:
+    import shutil
+
+    copy = copy_of_session()
+    with_all = check_plane(copy.calibration, "w330")
+    for folder in copy.folder.glob("w*"):
+        if folder.name != "w330":
+            shutil.rmtree(folder)
+    assert check_plane(copy.calibration, "w330") == with_all
+    with pytest.raises(FileError, match="w300"):
+        check_plane(copy.calibration, "w300")

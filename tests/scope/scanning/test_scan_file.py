@@ -72,6 +72,13 @@ def test_a_part_that_is_cut_anywhere_goes_on(session, long_capture: Path, tmp_pa
         assert (tmp_path / "cloud.ply").read_bytes() == whole.read_bytes()
 
 
+def test_nothing_to_resume_is_a_scan_from_the_beginning(session, tmp_path: Path) -> None:
+    scan_to_file(session.capture, session.rig, tmp_path / "whole.ply", ScanOptions())
+    scan_to_file(session.capture, session.rig, tmp_path / "cloud.ply", ScanOptions(), resume=True)
+    assert (tmp_path / "cloud.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+    assert not (tmp_path / "cloud.ply.part").exists()
+
+
 @pytest.mark.parametrize("stop", [2, 30])
 def test_a_scan_that_the_user_ended_goes_on_to_the_same_cloud(
     session, long_capture: Path, tmp_path: Path, stop: int
