@@ -92,6 +92,9 @@ def scan(
     emit(scan_result(found), as_json=as_json, text=scan_text(found))
     if found.why_incomplete:
         say(f"incomplete: {found.why_incomplete}; go on with --resume", quiet=quiet)
+    if found.troubles:
+        say("the scan contradicts its [motion]: do not use this cloud before that is put right", quiet=quiet)
+        raise typer.Exit(EXIT_NOT_TO_BE_USED)
     if not found.verified and not allow_unverified:
         say(
             "the rig is not verified: do not use this cloud (scope verify says why; --allow-unverified accepts it)",

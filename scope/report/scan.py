@@ -45,6 +45,7 @@ def scan_result(found: Scan) -> dict[str, Any]:
         "complete": not found.why_incomplete,
         "verified": found.verified,
         "why_incomplete": found.why_incomplete,
+        "troubles": list(found.troubles),
     }
 
 
@@ -61,6 +62,7 @@ def scan_text(found: Scan) -> str:
     if found.filtered:
         lines.append(f"removed by filters: {', '.join(f'{count} {name}' for name, count in found.filtered.items())}")
     lines += [f"lasers {pair.first} and {pair.second}: {_agreement_text(pair)}" for pair in found.agreement]
+    lines += [f"contradiction: {trouble}" for trouble in found.troubles]
     return "\n".join(lines)
 
 
@@ -87,6 +89,8 @@ def scan_page(found: Scan, capture: str | Path) -> str:
     )
     if found.why_incomplete:
         level, text = "warn" if cloud.verified else "bad", f"Incomplete: {found.why_incomplete}"
+    for trouble in found.troubles:
+        page.verdict("bad", f"Do not use this cloud: {trouble}.")
     page.verdict(level, f"{text}: {len(cloud)} points from {found.frames} frames.")  # type: ignore[arg-type]
     page.cloud(
         cloud.points, cloud.points[:, 2], "The cloud, coloured by z. Drag to turn, wheel to zoom, shift-drag to move"

@@ -23,6 +23,7 @@ from calibration.atomic import require_folder, written_whole
 from calibration.errors import FileError, ScopeError
 from calibration.rig import Rig, sha256_of
 from scope.cloud import SENSOR, VERTEX, ScanCloud, comments, ply, require_format, sensor_records, vertex_records
+from scope.scanning.overlap import with_turn_trouble
 from scope.scanning.run import Plan, joined
 from scope.scanning.setup import ScanOptions
 from scope.scanning.statistics import Chunk, Footprint, Scan, ScanStatistics
@@ -92,7 +93,7 @@ def scan_to_file(
         found.cloud.save(out)
     if not why:
         part.unlink(missing_ok=True)
-    return found
+    return with_turn_trouble(found, plan.motion)
 
 
 def _begun(part: Path, identity: dict[str, str]) -> BinaryIO:

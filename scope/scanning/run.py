@@ -24,6 +24,7 @@ from ranging.surface import CONTEXT, REACH, Lattice, MeasuredProfile, Timeframe,
 from ranging.triangulation import triangulate
 from scope.cloud import ScanCloud, Sensors, filtered
 from scope.scanning.agreement import Agreement, agreements
+from scope.scanning.overlap import with_turn_trouble
 from scope.scanning.setup import ScanOptions, channel_of, check_size, lasers_of, motion_of, separated_by_colour
 from scope.scanning.statistics import Chunk, Footprint, Scan, ScanStatistics
 from scope.session import (
@@ -114,7 +115,7 @@ def run_scan(
         why = plan.source.trouble
     except KeyboardInterrupt:
         why = plan.interrupted(statistics)
-    return plan.finish(joined(parts), statistics, why, time.perf_counter() - started)
+    return with_turn_trouble(plan.finish(joined(parts), statistics, why, time.perf_counter() - started), plan.motion)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -105,6 +105,7 @@ class Scan:
     verified: bool
     filtered: Mapping[str, int] = field(default_factory=dict)  # filter: points it removed
     agreement: tuple[Agreement, ...] = ()  # of every two lasers
+    troubles: tuple[str, ...] = ()  # in what the scan contradicts itself, a sentence each: it must not be used
 
     @property
     def cloud(self) -> ScanCloud:
