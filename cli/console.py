@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +25,40 @@ AllowEdited = Annotated[
     bool, typer.Option("--allow-edited", help="Take a rig that was altered since its calibration, as unverified.")
 ]
 Report = Annotated[Path | None, typer.Option("--report", help="Write a self-contained HTML page.")]
+
+
+@contextmanager
+def libraries_silenced() -> Iterator[None]:
+    """Keep stdout and stderr for this program: what C libraries print past Python (LAPACK, libpng, E57) goes nowhere.
+
+    SCOPE says itself what is wrong with a file, and stdout is data. Where there are no such descriptors, nothing is done.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = (sys.stdout, sys.stderr)
+    try:
+        own = (os.dup(1), os.dup(2))
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+    except OSError:
+        yield
+        return
+    sys.stdout, sys.stderr = (
+        open(fd, "w", encoding=stream.encoding, errors=stream.errors, buffering=1, closefd=False)  # noqa: SIM115
+        for fd, stream in zip(own, kept, strict=True)
+    )
+    for fd in (1, 2):
+        os.dup2(nowhere, fd)
+    try:
+        yield
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError):  # a pipe whose reader has gone
+                stream.flush()
+        for fd, back in zip(own, (1, 2), strict=True):
+            os.dup2(fd, back)
+        sys.stdout, sys.stderr = kept
+        for fd in (*own, nowhere):
+            os.close(fd)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cli import calibrate, locate, measure, scan, view
+from cli.console import libraries_silenced
 from scope.version import __version__
 
 app = typer.Typer(
@@ -42,4 +43,5 @@ def main() -> None:
     """Run the command."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # read when OpenCV is first imported; SCOPE says what is wrong
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet, for the same reason
-    app()
+    with libraries_silenced():
+        app()

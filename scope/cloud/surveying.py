@@ -26,6 +26,7 @@ _EXTRA = (
 )  # fmt: skip
 _FAILURES = (
     OSError,
+    ArithmeticError,
     ValueError,
     KeyError,
     IndexError,
@@ -133,7 +134,7 @@ def read_e57(path: Path) -> Stored:
                 intensity.append(np.asarray(told.get("intensity", np.full(len(points[-1]), np.nan)), dtype=np.float64))
         finally:
             file.close()
-    except _FAILURES as error:
+    except (*_FAILURES, pye57.libe57.E57Exception) as error:
         raise FileError(f"{path}: cannot be read as E57 ({_short(error)}); write or copy the file again") from error
     if not points:
         raise FileError(f"{path}: holds no scan; give a point cloud")
@@ -145,4 +146,5 @@ def read_e57(path: Path) -> Stored:
 
 
 def _short(error: BaseException) -> str:
-    return " ".join(str(error).split())[:80] or type(error).__name__
+    """The beginning of what a library says, in one line."""
+    return " ".join(str(error).split("\n", 1)[0].split())[:80] or type(error).__name__

@@ -20,6 +20,7 @@ class NoLatticeError(FileError):
 
 
 ENDINGS = (".npy", ".asc", ".txt", ".xyz", ".sdf", ".x3p")
+_HIGHEST = 1e6  # mm
 _MM = 1000.0  # SDF and X3P are in metres
 
 
@@ -62,6 +63,10 @@ def read_heights(path: Path, *, pitch: tuple[float, float] | None = None) -> Hei
     if z.ndim != 2 or min(z.shape) < 2:
         raise FileError(f"{path}: holds {' x '.join(map(str, z.shape))} heights; an area of rows and columns is needed")
     z = np.where(np.isfinite(z), z, np.nan)
+    if np.nanmax(np.abs(z), initial=0.0) > _HIGHEST:
+        raise FileError(
+            f"{path}: a height of {np.nanmax(np.abs(z)):.3g} mm; no surface has that: it is damaged, or not in mm"
+        )
     steps = pitch or told or (1.0, 1.0)
     if not all(np.isfinite(step) and step > 0.0 for step in steps):
         raise FileError(f"{path}: its pitch is {steps[0]:g} x {steps[1]:g} mm; a positive one is needed: give --pitch")
