@@ -161,6 +161,9 @@ def _sigma(path: Path, fields: Mapping[str, NDArray[Any]], name: str, n: int) ->
 def _pixels(path: Path, fields: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
     pixels = _known(fields, "u", "v")
     _require(path, np.asarray(~(np.abs(pixels) > _LARGEST_IMAGE).any(axis=1)), "have a pixel that no image has")
+    known = np.asarray(np.isfinite(pixels).all(axis=1))
+    if known.any():  # a cloud knows all of its pixels or none: one without would cost all their order
+        _require(path, known, "have no pixel, and others have")
     return pixels.astype(np.float32)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from pathlib import Path
+from tokenize import TokenError
 from types import ModuleType
 
 import numpy as np
@@ -54,10 +55,9 @@ def read_heights(path: Path, *, pitch: tuple[float, float] | None = None) -> Hei
         z, told = reader(path)
     except NoLatticeError as error:
         raise NoLatticeError(f"{path}: {error}; measure it as a cloud") from error
-    except (OSError, ValueError, EOFError) as error:
-        raise FileError(
-            f"{path}: could not be read as a height map ({error}); check the file and its ending"
-        ) from error
+    except (OSError, ValueError, EOFError, SyntaxError, TokenError, MemoryError, RecursionError) as error:
+        text = " ".join(str(error).split())[:100]
+        raise FileError(f"{path}: could not be read as a height map ({text}); check the file and its ending") from error
     if pitch is None and told is None:
         raise FileError(f"{path}: does not say its pitch; give --pitch in mm")
     if z.ndim != 2 or min(z.shape) < 2:
