@@ -33,15 +33,17 @@ def libraries_silenced() -> Iterator[None]:
 
     SCOPE says itself what is wrong with a file, and stdout is data. Where there are no such descriptors, nothing is done.
     """
-    sys.stdout.flush()
-    sys.stderr.flush()
     kept = (sys.stdout, sys.stderr)
     try:
+        if (sys.stdout.fileno(), sys.stderr.fileno()) != (1, 2):
+            raise OSError  # somebody else listens: a notebook, a test
         own = (os.dup(1), os.dup(2))
         nowhere = os.open(os.devnull, os.O_WRONLY)
-    except OSError:
+    except (OSError, AttributeError, ValueError):
         yield
         return
+    for stream in kept:
+        stream.flush()
     sys.stdout, sys.stderr = (
         open(fd, "w", encoding=stream.encoding, errors=stream.errors, buffering=1, closefd=False)  # noqa: SIM115
         for fd, stream in zip(own, kept, strict=True)

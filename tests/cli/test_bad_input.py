@@ -822,6 +822,15 @@ def a_part_that_is_none(s: Folder) -> Argv:
     return s.scan("--resume")
 
 
+@refused(r"frames/03\.png|frames/3\.png", "damaged", "IDAT", "checksum")
+def a_frame_with_a_damaged_chunk(s: Folder) -> Argv:
+    path = sorted((s / "frames").glob("*.png"))[3]
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0x10
+    path.write_bytes(bytes(data))
+    return s.scan()
+
+
 @refused(r"sweep\.avi", "not there")
 def a_video_that_is_not_there(s: Folder) -> Argv:
     s.edit("capture.toml", 'images = "frames/*.png"', 'video = "sweep.avi"')
@@ -909,7 +918,9 @@ def test_bad_input_is_refused_in_one_line(
     assert contents(folder) == before
 
 
-@pytest.mark.parametrize("spoil", [truncated("tif"), a_camera_that_is_not_there], ids=["tif", "camera"])
+@pytest.mark.parametrize(
+    "spoil", [truncated("tif"), a_camera_that_is_not_there, a_frame_with_a_damaged_chunk], ids=["tif", "camera", "png"]
+)
 def test_libraries_add_nothing_to_the_one_line(spoil: Spoil, folder: Folder) -> None:
     code = "import sys; from cli.main import main; main()"
     root = Path(__file__).resolve().parents[2]
