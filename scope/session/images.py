@@ -70,7 +70,7 @@ def _damaged_chunk(data: NDArray[np.uint8]) -> str | None:
     """
     if data[:8].tobytes() != b"\x89PNG\r\n\x1a\n":
         return None
-    view, at = memoryview(data), 8
+    view, at = memoryview(data.data), 8
     while at + 12 <= len(view):
         length, name = int.from_bytes(view[at : at + 4], "big"), bytes(view[at + 4 : at + 8])
         end = at + 8 + length
