@@ -12,9 +12,9 @@ from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array, Bools, Plane
 from calibration.rays import PlaneMarks
 from calibration.sheet import Laser, StripePoints, fit_laser
-from ranging.background import choose_channel, clipping_level, to_gray
+from ranging.background import Image, choose_channel, clipping_level, to_gray
 from ranging.stripe import Along, Stripe, StripeOptions, extract, find_along
-from scope.session import CalibrationPlan, Image, LaserPlan, PlanePlan, mean_image, read_alike, shape_text
+from scope.session import CalibrationPlan, LaserPlan, PlanePlan, mean_image, read_alike, shape_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
