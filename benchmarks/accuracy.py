@@ -47,7 +47,7 @@ def twin() -> None:
     folder = require("twin-a")
     truth = json.loads((folder / "truth" / "truth.json").read_text())
     found = calibrate(folder / "calibration.toml")
-    errors = np.concatenate([s.marks.pixels - exact_pixels(truth, s.marks.world) for s in found.planes])
+    errors = np.concatenate([s.marks.pixels - exact_pixels(truth, s.marks.world) for s in found.measured])
     rms = np.sqrt((errors**2).mean(axis=0))
     row("twin-a: centroid rms against truth, px an axis (u, v)", "0.012", "<= 0.010", f"{rms[0]:.4f}, {rms[1]:.4f}")
     for two_plane in (False, True):

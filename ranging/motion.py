@@ -123,7 +123,7 @@ class Turntable:
     positions: Positions  # rad
     sign: float
 
-    def __init__(  # noqa: PLR0913  (two places and how far; all but three by name)
+    def __init__(
         self,
         point: Sequence[float] | Array,
         axis: Sequence[float] | Array,

@@ -19,20 +19,20 @@ from scope.calibrating.lasers import LaserView, find_lasers
 from scope.calibrating.marks import MeasuredPlane, measure_plane
 from scope.calibrating.stages import find_stages
 from scope.calibrating.verdict import Dropped, Verdict, judge_freehand, judge_jig
-from scope.session import CalibrationPlan, read_calibration
+from scope.session import CalibrationPlan, CalibrationSession, plan_of, read_calibration
 from scope.version import __version__
 
 Model = Literal["auto", "two-plane", "joint", "pinhole"]
 Tick = Callable[[int, int], None]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Calibration:
     """A rig and everything that led to it."""
 
     rig: Rig
     plan: CalibrationPlan
-    planes: tuple[MeasuredPlane, ...]
+    measured: tuple[MeasuredPlane, ...]
     two_plane: TwoPlaneFit | None
     freehand: FreehandFit | None
     views: tuple[LaserView, ...]
@@ -43,20 +43,44 @@ class Calibration:
         """What --json gives."""
         return self.verdict.content
 
+    @property
+    def passed(self) -> bool:
+        """Whether the rig may be used."""
+        return bool(self.result["passed"])
+
+    @property
+    def why(self) -> str:
+        """Why it passed, or did not."""
+        return str(self.result["why"])
+
+    @property
+    def faults(self) -> list[dict[str, Any]]:
+        """Faults by name, as in --json."""
+        return list(self.result["faults"])
+
+    @property
+    def planes(self) -> list[dict[str, Any]]:
+        """A row a plane, as in --json."""
+        return list(self.result["planes"])
+
+    def __repr__(self) -> str:
+        """The verdict in one line."""
+        return f"<Calibration {'passed' if self.passed else 'did not pass'}: {self.why}>"
+
 
 def _no_tick(_done: int, _total: int) -> None:
     return None
 
 
 def calibrate(
-    path: str | Path, *, model: Model = "auto", order: Order = "auto", on_plane: Tick = _no_tick
+    path: str | Path | CalibrationSession, *, model: Model = "auto", order: Order = "auto", on_plane: Tick = _no_tick
 ) -> Calibration:
-    """Calibrate after a calibration.toml.
+    """Calibrate after a calibration.toml, or from images in memory.
 
     Parameters
     ----------
-    path : path
-        The file.
+    path : path or CalibrationSession
+        The file, or the target and its places with their images.
     model : "auto", "two-plane", "joint" or "pinhole"
         Which rays the camera gives. "auto": a pinhole where no plane has an origin, else the joint field.
     order : "auto", "linear", "paper" or int
@@ -67,8 +91,11 @@ def calibrate(
     Raises
     ------
     FileError, CalibrationError
+        Images or marks that do not serve.
+    ValueError
+        A session that holds no images, places or limits.
     """
-    plan = read_calibration(Path(path))
+    plan = plan_of(path) if isinstance(path, CalibrationSession) else read_calibration(Path(path))
     _check_model(plan, model)
     on_jig = any(plane.c_from_target is not None for plane in plan.planes)
     seen: list[MeasuredPlane] = []

@@ -13,21 +13,23 @@ from calibration.rig import Rig
 from calibration.verification import HeldOut, against, faults_against
 from scope.calibrating.marks import MeasuredPlane, measure_plane
 from scope.calibrating.verdict import fault_content, lattice_of, mirrored_fault
-from scope.session import CalibrationPlan, PlanePlan, read_calibration
+from scope.session import CalibrationPlan, CalibrationSession, PlanePlan, plan_of, read_calibration
 
 SATURATED = 0.05  # share of the spots that may be clipped
 BLURRED = 0.12  # blur over diameter beyond which the plateau of a spot is gone
 
 
-def verify(rig_path: str | Path, other: str | Path | None = None, *, allow_edited: bool = False) -> dict[str, Any]:
+def verify(
+    rig_path: Rig | str | Path, other: CalibrationSession | str | Path | None = None, *, allow_edited: bool = False
+) -> dict[str, Any]:
     """Verification of a rig: what it says of itself, or its rays against images that it has not seen.
 
     Parameters
     ----------
-    rig_path : path
-        rig.json.
-    other : path, optional
-        A calibration file with other images. Planes with an ``origin`` test the rays as they stand; freehand views
+    rig_path : Rig or path
+        The rig, or rig.json.
+    other : CalibrationSession or path, optional
+        Other images, or a calibration file that names them. Planes with an ``origin`` test the rays as they stand; freehand views
         are first located by the rays and test their shape only.
     allow_edited : bool
         Take a rig that was altered since it was calibrated, as one that did not pass.
@@ -37,7 +39,7 @@ def verify(rig_path: str | Path, other: str | Path | None = None, *, allow_edite
     dict
         ``passed``, ``why``, ``faults``, ``planes`` (name, rms_px, rms_mm, bias_mm), ``sealed``, as JSON.
     """
-    rig = Rig.load(rig_path, allow_edited=allow_edited)
+    rig = rig_path if isinstance(rig_path, Rig) else Rig.load(rig_path, allow_edited=allow_edited)
     if other is None:
         told = rig.verification
         planes = [
@@ -51,7 +53,7 @@ def verify(rig_path: str | Path, other: str | Path | None = None, *, allow_edite
             "accept": dict(rig.accept),
             "sealed": rig.sealed,
         }
-    plan = read_calibration(Path(other))
+    plan = plan_of(other) if isinstance(other, CalibrationSession) else read_calibration(Path(other))
     rows, jig, faults = [], [], []
     for plane in plan.planes:
         seen = measure_plane(plan, plane)

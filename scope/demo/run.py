@@ -288,7 +288,7 @@ def _page(calibration: Calibration, found: Scan, deviations: list[Deviation], sk
     )
     add_views(page, found.cloud)
     page.heading("From the images")
-    seen = calibration.planes[0]
+    seen = calibration.measured[0]
     page.image(
         with_marks(seen.image, seen.marks.pixels, [(u, v) for u, v, _ in seen.rejected], None),
         f"spots found on {seen.plan.name}",

@@ -126,7 +126,7 @@ def calibration_page(found: Calibration) -> str:
         for stage in result["stages"]:
             page.text(_stage_text(stage) + ".")
     page.heading("Marks")
-    for seen in found.planes:
+    for seen in found.measured:
         _add_marks(page, seen)
     return page.html()
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from calibration.rig import Rig
+from ranging.errors import RangingError
 from ranging.surface import CONTEXT
 from scope.cloud import ScanCloud
 from scope.scanning.assembly import assembled, joined
@@ -32,8 +33,21 @@ def _no_tick(_done: int, _total: int) -> None:
 
 
 def scan(capture: str | Path, rig: Rig | str | Path, *, options: ScanOptions | None = None) -> ScanCloud:
-    """Range every frame of a capture; see `run_scan` for the cloud with its bookkeeping."""
-    return run_scan(capture, rig, options=options).cloud
+    """Range every frame of a capture; see `run_scan` for the cloud with its bookkeeping.
+
+    Raises
+    ------
+    FileError, RangingError
+        As `run_scan`, and for a scan that contradicts its motion.
+    """
+    return trusted(run_scan(capture, rig, options=options))
+
+
+def trusted(found: Scan) -> ScanCloud:
+    """Cloud of a scan; ``RangingError`` where the scan contradicts its motion."""
+    if found.troubles:
+        raise RangingError(f"the scan contradicts its motion: {found.troubles[0]}")
+    return found.cloud
 
 
 def run_scan(

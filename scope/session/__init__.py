@@ -9,8 +9,9 @@ from scope.session.calibration_file import (
     read_calibration,
 )
 from scope.session.capture import Capture, StageUse, read_capture
-from scope.session.frames import AHEAD, Frame, Source, frames_in_memory, in_order, open_source
-from scope.session.images import gray, mean_gray, mean_image, read_alike, read_image, shape_text
+from scope.session.frames import AHEAD, Frame, Iterated, Source, frames_in_memory, in_order, open_source
+from scope.session.images import ImageInMemory, Stored, gray, mean_gray, mean_image, read_alike, read_image, shape_text
+from scope.session.in_memory import CalibrationSession, PlaneView, plan_of
 from scope.session.templates import TEMPLATES, write_template
 from scope.session.toml_file import MM
 
@@ -19,6 +20,12 @@ __all__ = [
     "CalibrationPlan",
     "Capture",
     "Frame",
+    "CalibrationSession",
+    "ImageInMemory",
+    "Iterated",
+    "PlaneView",
+    "Stored",
+    "plan_of",
     "LaserPlan",
     "ListedMarks",
     "MM",

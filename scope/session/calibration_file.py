@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,6 +13,7 @@ from pydantic import BeforeValidator, Field, Strict, ValidationError, model_vali
 from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array, Pose
 from calibration.targets import Charuco, Chessboard, Polarity, SpotGrid
+from scope.session.images import Stored
 from scope.session.toml_file import (
     MM,
     Flag,
@@ -154,10 +156,10 @@ class PlanePlan:
     """One [[plane]], its files found."""
 
     name: str
-    images: tuple[Path, ...]
+    images: tuple[Stored, ...]
     c_from_target: Pose | None  # None: freehand
-    lasers: dict[str, tuple[Path, ...]]  # by laser name
-    backgrounds: dict[str, tuple[Path, ...]]
+    lasers: Mapping[str, tuple[Stored, ...]]  # by laser name
+    backgrounds: Mapping[str, tuple[Stored, ...]]
     listed: ListedMarks | None
     turned: int | None  # degrees; None where the file does not say
 
@@ -196,8 +198,8 @@ class CalibrationPlan:
 
     @property
     def files(self) -> list[Path]:
-        """Every file that was named, the TOML first."""
-        found = [self.path]
+        """Every file that was named, the TOML first; images in memory are none."""
+        found: list[Stored] = [self.path] if self.path.suffix else []
         for plane in self.planes:
             found += plane.images
             found += [] if plane.listed is None else [plane.listed.path]
@@ -205,7 +207,7 @@ class CalibrationPlan:
                 found += group
         for stage in self.stages:
             found += stage.images
-        return list(dict.fromkeys(found))
+        return list(dict.fromkeys(file for file in found if isinstance(file, Path)))
 
 
 def read_calibration(path: Path, *, only: str | None = None) -> CalibrationPlan:

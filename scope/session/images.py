@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +17,47 @@ from ranging.background import Image
 _MOST_PIXELS = 200_000_000
 
 
-def read_image(path: Path) -> Image:
-    """Read an image as it is stored: grey or BGR, 8 or 16 bits.
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageInMemory:
+    """An image that is there already, under a name for messages.
+
+    Raises
+    ------
+    ValueError
+        Pixels that are not (rows, columns) or (rows, columns, 3) of uint8 or uint16.
+    """
+
+    name: str
+    pixels: Image
+
+    def __post_init__(self) -> None:
+        image = np.asarray(self.pixels)
+        grey_or_colour = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
+        if image.dtype not in (np.uint8, np.uint16) or not grey_or_colour or image.size == 0:
+            raise ValueError(
+                f"{self.name} must be (rows, columns) or (rows, columns, 3) of uint8 or uint16; it is {image.shape} of "
+                f"{image.dtype}"
+            )
+        object.__setattr__(self, "pixels", image)
+
+    def __str__(self) -> str:
+        """The name, as a path would be told."""
+        return self.name
+
+
+Stored = Path | ImageInMemory  # where an image is
+
+
+def read_image(path: Stored) -> Image:
+    """Read an image as it is stored: grey or BGR, 8 or 16 bits; one in memory as it is.
 
     An alpha channel is dropped, a palette is applied, one-channel colour becomes grey. ``FileError`` for a file that is
     missing, empty, truncated or no image, and for pixels that are not 8- or 16-bit unsigned.
     """
     import cv2
 
+    if isinstance(path, ImageInMemory):
+        return path.pixels
     try:
         size = path.stat().st_size
         data = np.fromfile(path, dtype=np.uint8)
@@ -81,7 +115,7 @@ def _damaged_chunk(data: NDArray[np.uint8]) -> str | None:
     return "last"
 
 
-def read_alike(paths: Sequence[Path], what: str) -> list[Image]:
+def read_alike(paths: Sequence[Stored], what: str) -> list[Image]:
     """Images that must agree in size, depth and channels; ``FileError`` names the first that does not."""
     images: list[Image] = []
     for path in paths:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ranging.motion import Positions, Turntable
+from ranging.motion import Turntable
 from scope.cloud import ScanCloud
 from scope.scanning.overlap import turn_trouble
 
