@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
 from calibration.camera import Camera
 from calibration.errors import CalibrationError, FileError
-from calibration.geometry import Array, Bools, Plane
+from calibration.geometry import Array, Ints
+from calibration.grouping import grouped
 from calibration.rays import PlaneMarks
 from calibration.sheet import Laser, StripePoints, fit_laser
-from ranging.background import choose_channel, clipping_level, to_gray
+from ranging.background import Channel, clipping_level, to_gray
 from ranging.stripe import Along, Stripe, StripeOptions, extract, find_along
+from scope.calibrating.channels import Choice, candidates, choose
+from scope.calibrating.left_out import LeftOut, small
+from scope.calibrating.plates import LEAST, Common, Seen, common_sheet, seen_on, stripes_on
 from scope.session import CalibrationPlan, Image, LaserPlan, PlanePlan, mean_image, read_alike, shape_text
+
+_SAMPLE = 12  # views that choose the channel
+_SHARE = 0.25  # of the light on the plate of a jig, that must lie between the marks for the marks to bound it
+_AGREED = 3  # a third of the views with a stripe must share a sheet
+_BAND = 25  # px about a stripe's course, in which lines that showed other light are looked at again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +37,16 @@ class LaserView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FoundLasers:
+    """The lasers of a calibration, and what they were fitted to."""
+
+    lasers: dict[str, Laser] = field(default_factory=dict)
+    views: tuple[LaserView, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    choices: dict[str, Choice] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Shot:
     plane: PlanePlan
     marks: PlaneMarks
@@ -35,9 +54,20 @@ class _Shot:
     background: Image | None  # mean
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """How the images of one laser are looked at."""
+
+    camera: Camera
+    channel: Channel
+    along: Along
+    options: StripeOptions
+    by_hand: bool
+
+
 def find_lasers(
     plan: CalibrationPlan, camera: Camera, planes: list[tuple[PlanePlan, PlaneMarks]], *, curved: bool | None
-) -> tuple[dict[str, Laser], tuple[LaserView, ...]]:
+) -> FoundLasers:
     """Fit every laser that has images; a plan without any gives none.
 
     ``curved`` is that of `calibration.sheet.laser.fit_laser`: None where the planes' places are known and a curved sheet can be
@@ -46,16 +76,27 @@ def find_lasers(
     Raises
     ------
     FileError, CalibrationError
-        Images that do not fit, a laser image without laser, too few stripes.
+        Images that do not fit, too few stripes. Single images without a stripe are left out.
     """
-    lasers: dict[str, Laser] = {}
-    views: list[LaserView] = []
+    found = FoundLasers()
     for laser in plan.lasers:
-        shots = [_shot(plane, marks, laser.name, camera.size) for plane, marks in planes if laser.name in plane.lasers]
+        shots, unread = [], []
+        for plane, marks in planes:
+            if laser.name not in plane.lasers:
+                continue
+            try:
+                shots.append(_shot(plane, marks, laser.name, camera.size))
+            except FileError as error:
+                if plane.c_from_target is not None:
+                    raise
+                unread.append(LeftOut("laser", plane.name, str(error), laser=laser.name))
         if shots:
-            lasers[laser.name], seen = _fit(plan, laser, camera, shots, curved=curved)
-            views += seen
-    return lasers, tuple(views)
+            one = _fit(plan, laser, camera, shots, curved=curved)
+            found = FoundLasers(
+                found.lasers | one.lasers, found.views + one.views, (*found.left_out, *unread, *one.left_out),
+                found.choices | one.choices,
+            )  # fmt: skip
+    return found
 
 
 def _shot(plane: PlanePlan, marks: PlaneMarks, laser: str, size: tuple[int, int]) -> _Shot:
@@ -80,31 +121,173 @@ def _shot(plane: PlanePlan, marks: PlaneMarks, laser: str, size: tuple[int, int]
 
 def _fit(
     plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_Shot], *, curved: bool | None
-) -> tuple[Laser, list[LaserView]]:
-    has_dark = all(shot.background is not None for shot in shots)
-    channel = choose_channel([shot.images[0] for shot in shots], laser.channel, laser_off=has_dark)
+) -> FoundLasers:
+    by_hand = all(shot.plane.c_from_target is None for shot in shots)
+    choice = _chosen_channel(plan, laser, camera, shots, by_hand=by_hand)
+    look = _look(laser, camera, shots, choice.channel, by_hand=by_hand)
+    views = [_stripes(plan, look, shot) for shot in shots]
+    common = common_sheet([candidates for candidates, _ in views]) if by_hand else None
+    _check_agreement(plan, laser, common)
+    stripes, used, left_out = [], [], []
+    for shot, (offers, everything) in zip(shots, views, strict=True):
+        kept, reason = _kept(plan, shot, offers, everything, common, laser.name)
+        if kept is None:
+            left_out.append(_picture(laser.name, shot, everything, reason))
+            continue
+        kept = _completed(look, shot, kept)
+        stripes.append(_points(camera, kept, look.along))
+        used.append(LaserView(laser.name, shot.plane.name, to_gray(shot.images[0], look.channel), kept.pixels))
+    if len(stripes) < min(2, len(shots)):
+        told = grouped([(each.name, each.reason) for each in left_out], len(shots), "laser images")
+        raise CalibrationError(
+            f"{plan.path}: laser {laser.name}: stripes on {len(stripes)} of {len(shots)} views: {told}"
+        )
+    try:
+        fitted = fit_laser(
+            laser.name, stripes, along=look.along, channel=look.channel, origin=laser.origin, curved=curved
+        )
+    except CalibrationError as error:
+        raise CalibrationError(f"{plan.path}: {error}") from error
+    return FoundLasers({laser.name: fitted}, tuple(used), tuple(left_out), {laser.name: choice})
+
+
+def _check_agreement(plan: CalibrationPlan, laser: LaserPlan, common: Common | None) -> None:
+    """Refuse a sheet that only a few views share, which some always do."""
+    if common is None:
+        return
+    agreed, total = len(common.chosen), len(common.chosen) + len(common.apart)
+    if agreed < 2 or agreed * _AGREED < total or (total > 3 and agreed < 3):
+        raise CalibrationError(
+            f"{plan.path}: laser {laser.name}: the stripes of {total} views lie on no common sheet of light ({agreed} agree): "
+            "laser and camera must not move against each other; name the laser's `channel`, dim other light, or give [target] plate"
+        )
+
+
+def _look(laser: LaserPlan, camera: Camera, shots: list[_Shot], channel: Channel, *, by_hand: bool) -> _Look:
     grays = [[to_gray(image, channel) for image in shot.images] for shot in shots]
     darks = [None if shot.background is None else to_gray(shot.background, channel) for shot in shots]
     along = _along([repeats[0] for repeats in grays], darks) if laser.along == "auto" else laser.along
     options = StripeOptions(saturation=clipping_level([image for repeats in grays for image in repeats]))
-    stripes, views = [], []
-    for shot, repeats, dark in zip(shots, grays, darks, strict=True):
-        stripe, sigma = _averaged([extract(image, along=along, options=options, background=dark) for image in repeats])
-        keep = _on_target(stripe, shot.marks)
-        if not keep.any():
-            lit = int(np.isfinite(stripe).all(axis=1).sum())
-            raise CalibrationError(
-                f"{plan.path}: plane {shot.plane.name}: laser {laser.name}: no stripe on the target ({lit} of {len(stripe)} "
-                f"lines have light elsewhere); is the laser on in {shot.plane.lasers[laser.name][0].name}?"
+    return _Look(camera, channel, along, options, by_hand)
+
+
+def _chosen_channel(
+    plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_Shot], *, by_hand: bool
+) -> Choice:
+    """The channel of the least error on some of the views."""
+    has_dark = all(shot.background is not None for shot in shots)
+    images = [shot.images[0] for shot in shots]
+    usual, tried = candidates(laser.channel, images, several=len(plan.lasers) > 1, laser_off=has_dark)
+    some = [shots[k] for k in np.unique(np.linspace(0, len(shots) - 1, _SAMPLE).astype(int))]
+
+    def stripes(channel: Channel) -> Common | None:
+        look = _look(laser, camera, some, channel, by_hand=by_hand)
+        offers = [_stripes(plan, look, replace(shot, images=shot.images[:1]))[0] for shot in some]
+        return common_sheet(offers)
+
+    return choose(usual, tried, stripes)
+
+
+def _stripes(plan: CalibrationPlan, look: _Look, shot: _Shot) -> tuple[list[Seen], Array]:
+    """Stripes that may lie on the plate, and all light of the image (N, 2) px."""
+    dark = None if shot.background is None else to_gray(shot.background, look.channel)
+    pixels, sigma = _averaged(
+        [
+            extract(to_gray(image, look.channel), along=look.along, options=look.options, background=dark)
+            for image in shot.images
+        ]
+    )
+    seen = seen_on(look.camera, shot.marks, pixels, sigma)
+    plate = plan.plate
+    if plate == "auto" and not look.by_hand and seen.marked.sum() >= max(LEAST, _SHARE * len(seen.line)):
+        plate = "marks"  # on a jig the rays hold best where its marks are
+    return stripes_on(seen, shot.marks, plate), pixels
+
+
+def _kept(
+    plan: CalibrationPlan, shot: _Shot, offers: list[Seen], everything: Array, common: Common | None, laser: str
+) -> tuple[Seen | None, str]:
+    """The stripe of a view that is used, or why there is none."""
+    if not offers:
+        lit = int(np.isfinite(everything).all(axis=1).sum())
+        where = "between the marks" if plan.plate == "marks" else "on the target"
+        return None, (
+            f"no stripe {where} ({lit} of {len(everything)} lines have light elsewhere); is the laser on in "
+            f"{shot.plane.lasers[laser][0].name}?"
+        )
+    if common is None:
+        return offers[0], ""
+    if shot.plane.name in common.chosen:
+        return common.chosen[shot.plane.name], ""
+    return None, (
+        f"its stripe lies {common.apart[shot.plane.name]:.1f} mm off the sheet that {len(common.chosen)} views share: other light, "
+        "or laser or camera were moved"
+    )
+
+
+def _picture(laser: str, shot: _Shot, everything: Array, reason: str) -> LeftOut:
+    picture, scale = small(shot.images[0])
+    found = everything[np.isfinite(everything).all(axis=1)] * scale
+    return LeftOut("laser", shot.plane.name, reason, laser=laser, image=picture, pixels=found)
+
+
+def _completed(look: _Look, shot: _Shot, stripe: Seen) -> Seen:
+    """The stripe with the lines within it that had brighter light elsewhere, looked at again near its course."""
+    across = 1 if look.along == "rows" else 0
+    first, last = int(stripe.line.min()), int(stripe.line.max())
+    if not look.by_hand or last - first + 1 < 1.1 * len(stripe.line) or len(stripe.line) < 2 * LEAST:
+        return stripe
+    middle, half = 0.5 * (first + last), max(0.5 * (last - first), 1.0)
+    course = np.polyfit((stripe.line - middle) / half, stripe.pixels[:, across], 2)
+    lines = np.arange(first, last + 1)
+    expected = np.polyval(course, (lines - middle) / half)
+    dark = None if shot.background is None else to_gray(shot.background, look.channel)
+    again = []
+    for image in shot.images:
+        level = to_gray(image, look.channel)
+        again.append(
+            extract(
+                _banded(level, lines, expected, look.along),
+                along=look.along,
+                options=look.options,
+                background=None if dark is None else _banded(dark, lines, expected, look.along),
             )
-        points, across = _on_plane(camera, shot.marks, stripe[keep], sigma[keep], 1 if along == "rows" else 0)
-        stripes.append(StripePoints(shot.plane.name, points, across))
-        views.append(LaserView(laser.name, shot.plane.name, repeats[0], stripe[keep]))
-    try:
-        fit = fit_laser(laser.name, stripes, along=along, channel=channel, origin=laser.origin, curved=curved)
-    except CalibrationError as error:
-        raise CalibrationError(f"{plan.path}: {error}") from error
-    return fit, views
+        )
+    pixels, sigma = _averaged(again)
+    pixels[np.setdiff1d(np.arange(len(pixels)), np.setdiff1d(lines, stripe.line))] = np.nan
+    more = seen_on(look.camera, shot.marks, pixels, sigma)
+    off = np.abs(more.pixels[:, across] - np.polyval(course, (more.line - middle) / half))
+    more = more.select(off < np.maximum(1.0, 3.0 * more.sigma))
+    return _joined(stripe, more)
+
+
+def _banded(image: Image, lines: Ints, expected: Array, along: Along) -> Image:
+    """Image in which each of some lines shows its own median but near the expected place; all other lines show nothing."""
+    across = image.T if along == "rows" else image
+    out = np.zeros_like(across)
+    for line, place in zip(lines, expected, strict=True):
+        low, high = max(int(place) - _BAND, 0), max(int(place) + _BAND + 1, 0)
+        part = across[line, low:high]
+        if len(part):
+            out[line] = np.median(part)
+            out[line, low:high] = part
+    return np.ascontiguousarray(out.T if along == "rows" else out)
+
+
+def _joined(first: Seen, second: Seen) -> Seen:
+    order = np.argsort(np.concatenate([first.line, second.line]))
+    pixels, sigma, line, points, flat, marked = (
+        np.concatenate([getattr(first, name), getattr(second, name)])[order]
+        for name in ("pixels", "sigma", "line", "points", "flat", "marked")
+    )
+    return replace(first, pixels=pixels, sigma=sigma, line=line, points=points, flat=flat, marked=marked)
+
+
+def _points(camera: Camera, stripe: Seen, along: Along) -> StripePoints:
+    """Points of a stripe with their sigma, mm across it."""
+    across = 1 if along == "rows" else 0
+    moved = np.linalg.norm(camera.shift(stripe.pixels, stripe.points)[:, :, across], axis=1)
+    return StripePoints(stripe.name, stripe.points, moved * stripe.sigma)
 
 
 def _along(images: list[Image], darks: list[Image | None]) -> Along:
@@ -126,22 +309,3 @@ def _averaged(repeats: list[Stripe]) -> tuple[Array, Array]:
     mean = np.divide(np.nansum(weight * position, axis=0), total, out=np.full_like(total, np.nan), where=total > 0)
     sigma = np.divide(1.0, np.sqrt(total), out=np.full_like(total, np.nan), where=total > 0)
     return replace(repeats[0], position=mean).pixels, sigma
-
-
-def _on_target(pixels: Array, marks: PlaneMarks) -> Bools:
-    """Lines whose stripe lies on the part of the plane that the marks surround."""
-    hull = cv2.convexHull(marks.pixels.astype(np.float32)).astype(np.float32)
-    keep = np.asarray(np.isfinite(pixels).all(axis=1))
-    for k in np.flatnonzero(keep):
-        u, v = pixels[k]
-        keep[k] = cv2.pointPolygonTest(hull, (float(u), float(v)), False) >= 0
-    return keep
-
-
-def _on_plane(camera: Camera, marks: PlaneMarks, pixels: Array, sigma: Array, across: int) -> tuple[Array, Array]:
-    """Points (n, 3) mm where the pixels' rays meet the plane of the marks, and their sigma (n,) mm across the stripe."""
-    plane = Plane.through(marks.c_from_plane.translation, marks.c_from_plane.rotation[:, 2])
-    points = plane.intersect(camera.rays(pixels)).points
-    known = np.isfinite(points).all(axis=1)
-    moved = np.linalg.norm(camera.shift(pixels[known], points[known])[:, :, across], axis=1)
-    return points[known], moved * sigma[known]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +26,10 @@ from calibration.verification import (
     intraplane,
     leave_views_out,
 )
+from scope.calibrating.left_out import LeftOut
 from scope.calibrating.marks import MeasuredPlane
 from scope.session import CalibrationPlan
 
-Dropped: TypeAlias = tuple[str, str]  # a view held by hand that was left out, and why
 NAN = float("nan")
 ADVICE = (
     "an error that is affine (all stand-offs or the pitch wrong by one factor) is invisible to planes: check a known "
@@ -53,6 +54,7 @@ def judge_jig(
     fit: TwoPlaneFit,
     lasers: dict[str, Laser],
     stages: tuple[Stage, ...],
+    left_out: Sequence[LeftOut] = (),
 ) -> Verdict:
     """Judge a calibration on known stand-offs: faults, held-out planes, and the limits of [accept]."""
     held = held_out(fit, model=fit.camera.model)
@@ -90,6 +92,7 @@ def judge_jig(
             "placement": inside.split.placement_px,
             "random": inside.split.random_px,
         },
+        "dropped": [each.content for each in left_out],
         "stages": [stage_content(stage) for stage in stages],
     }
     verdict = _verdict(
@@ -104,6 +107,7 @@ def judge_freehand(
     fit: FreehandFit,
     lasers: dict[str, Laser],
     stages: tuple[Stage, ...],
+    left_out: Sequence[LeftOut] = (),
 ) -> Verdict:
     """Judge a calibration from views held by hand: each view against the camera of the others."""
     held = leave_views_out(fit)
@@ -122,7 +126,7 @@ def judge_freehand(
         "model": "pinhole",
         "ray_mm": ray_mm,
         "fit_px": fit.fit_px,
-        "dropped": [{"name": name, "reason": reason} for name, reason in fit.dropped],
+        "dropped": [each.content for each in left_out],
         "stages": [stage_content(stage) for stage in stages],
     }
     verdict = _verdict(plan, seen, rows, lasers, NAN, _moved(seen), ray_mm, content, planes=0)
@@ -291,6 +295,7 @@ def laser_content(laser: Laser) -> dict[str, Any]:
         "rms_mm": laser.rms_mm,
         "loo_mm": laser.loo_mm,
         "n": laser.n,
+        "views": len(laser.planes),
         "flatness_mm": laser.flatness_mm,
         "flatness_sigma_mm": laser.flatness_sigma,
         "curved": len(laser.covariance) > 3,

@@ -1,0 +1,157 @@
+"""ArUco and AprilTag markers at known places to the corners of their squares."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.errors import CalibrationError
+from calibration.geometry import Array, Ints
+from calibration.targets._looks import eight_bit, magnified, refined
+from calibration.targets.boards import Corners
+from calibration.targets.layout import MarkerBoard
+
+_MISFIT = 0.12  # of a marker's side in the image, rms: more is no error of measurement
+_TURN = 12.0  # degrees by which a marker may seem turned otherwise than stated
+
+
+def find_markers(image: NDArray[np.generic], target: MarkerBoard) -> Corners:
+    """Find the corners of a target's markers, of which any may be hidden.
+
+    Parameters
+    ----------
+    image : (H, W) array
+        Grey levels of any depth.
+    target : MarkerBoard
+        Dictionary, side and places.
+
+    Returns
+    -------
+    Corners
+        Four a marker that is in view, refined by `cornerSubPix`. Markers that are seen twice do not count.
+
+    Raises
+    ------
+    CalibrationError
+        No marker of the target in view, an unknown dictionary, or places that contradict the image: the message says how the
+        markers seem to be turned.
+
+    Notes
+    -----
+    OpenCV's detector (Garrido-Jurado et al., Pattern Recognition 47, 2014), asked at twice the size where it misses some.
+    """
+    numbers = [place.number for place in target.places]
+    grey = eight_bit(image)
+    seen = _detect(grey, target.dictionary, numbers)
+    if len(seen) < len(numbers):
+        seen = _detect(magnified(grey, 2.0), target.dictionary, numbers, 2.0) | seen
+    if not seen:
+        raise CalibrationError(
+            f"none of the {len(numbers)} markers of {target.dictionary} in the image: check dictionary, ids, focus and exposure"
+        )
+    order = [k for k, number in enumerate(numbers) if number in seen]
+    corners = np.concatenate([seen[numbers[k]] for k in order])
+    side = float(np.median([np.linalg.norm(np.diff(seen[numbers[k]], axis=0), axis=1).min() for k in order]))
+    pixels = refined(grey, corners, side / 3.0)
+    mark = np.concatenate([np.arange(4 * k, 4 * k + 4) for k in order])
+    if len(order) > 1:
+        _check_places(target, pixels, mark, side)
+    return Corners(pixels, mark)
+
+
+def upright(target: MarkerBoard, seen: Corners) -> MarkerBoard:
+    """The target with y down or up, whichever a view of two markers or more agrees with; unchanged where fewer are seen."""
+    if len(seen.mark) < 8:
+        return target
+    down, up = (_misfit(replace(target, upwards=way), seen.pixels, seen.mark) for way in (False, True))
+    return replace(target, upwards=up < down)
+
+
+def _detect(grey: NDArray[np.uint8], dictionary: str, numbers: list[int], scale: float = 1.0) -> dict[int, Array]:
+    """Corners (4, 2) px of the wanted markers that are seen once."""
+    import cv2
+
+    code = getattr(cv2.aruco, dictionary, None)
+    if not isinstance(code, int) or not dictionary.startswith("DICT_"):
+        raise CalibrationError(
+            f"target.dictionary is {dictionary!r}; one of OpenCV's is needed, such as DICT_4X4_50 or DICT_APRILTAG_36h11"
+        )
+    words = cv2.aruco.getPredefinedDictionary(code)
+    beyond = [number for number in numbers if number >= len(words.bytesList)]
+    if beyond:
+        raise CalibrationError(
+            f"target.places names marker {beyond[0]}; {dictionary} ends at {len(words.bytesList) - 1}: correct either"
+        )
+    options: Any = cv2.aruco.DetectorParameters()
+    options.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    corners, found, _ = cv2.aruco.ArucoDetector(words, options).detectMarkers(grey)
+    every = [] if found is None else [int(number) for number in np.ravel(found)]
+    return {
+        number: (np.asarray(quad, dtype=np.float64).reshape(4, 2) + 0.5) / scale - 0.5
+        for number, quad in zip(every, corners, strict=True)
+        if number in numbers and every.count(number) == 1
+    }
+
+
+def _homography(points: Array, pixels: Array) -> Array | None:
+    import cv2
+
+    found = cv2.findHomography(points[:, :2], pixels, 0)[0]
+    return None if found is None else np.asarray(found, dtype=np.float64)
+
+
+def _mapped(matrix: Array, points: Array) -> Array:
+    q = np.column_stack([points[:, :2], np.ones(len(points))]) @ matrix.T
+    return np.asarray(q[:, :2] / q[:, 2:])
+
+
+def _misfit(target: MarkerBoard, pixels: Array, mark: Ints) -> float:
+    """Rms distance, px, of corners from where a homography of the stated places puts them; infinite where there is none."""
+    points = target.marks[mark]
+    matrix = _homography(points, pixels)
+    if matrix is None:
+        return np.inf
+    return float(np.sqrt(((_mapped(matrix, points) - pixels) ** 2).sum(axis=1).mean()))
+
+
+def _check_places(target: MarkerBoard, pixels: Array, mark: Ints, side: float) -> None:
+    """Refuse places that no plane can show so; with four markers the message says how each seems to be turned."""
+    misfit = min(_misfit(replace(target, upwards=way), pixels, mark) for way in (False, True))
+    if misfit <= max(_MISFIT * side, 1.0):
+        return
+    told = "check x, y and turn of each, and `marker`"
+    order = np.unique(mark // 4)
+    if len(order) >= 4:
+        told = _turns(target, pixels, order)
+    raise CalibrationError(
+        f"{len(order)} markers do not lie as `places` says (a plane fits to {misfit:.0f} px rms, where a side is {side:.0f} px): {told}"
+    )
+
+
+def _turns(target: MarkerBoard, pixels: Array, order: Ints) -> str:
+    """How the markers seem to be turned, if their centres are right: for the message."""
+    quads = pixels.reshape(-1, 4, 2)
+    centres = np.array([[target.places[k].x, target.places[k].y] for k in order])
+    middles = np.stack([_crossing(quad) for quad in quads])
+    matrix = _homography(centres, middles)
+    if matrix is None:
+        return "check x, y and turn of each, and `marker`"
+    flat = _mapped(np.asarray(np.linalg.inv(matrix), dtype=np.float64), pixels).reshape(-1, 4, 2)
+    along = flat[:, 1] - flat[:, 0] + flat[:, 2] - flat[:, 3]
+    turns = np.degrees(np.arctan2(along[:, 1], along[:, 0]))
+    stated = np.degrees([target.places[k].turn for k in order])
+    off = np.abs((turns - stated + 180.0) % 360.0 - 180.0)
+    if off.max() < _TURN:
+        return "their turns agree; check x and y of each, and `marker`"
+    seen = ", ".join(f"{target.places[k].number}: {turn % 360.0:.0f}" for k, turn in zip(order, turns, strict=True))
+    return f"if their centres are right, turn is about {seen} degrees"
+
+
+def _crossing(quad: Array) -> Array:
+    """Where the diagonals of a quadrangle (4, 2) cross: the image of a square's centre."""
+    across, down = quad[2] - quad[0], quad[3] - quad[1]
+    share = np.linalg.solve(np.stack([across, -down], axis=1), quad[1] - quad[0])[0]
+    return np.asarray(quad[0] + share * across)

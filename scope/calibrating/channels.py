@@ -1,0 +1,75 @@
+"""The channel in which a laser's stripe is read, by what decides: the error of the stripe on this target."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ranging.background import Channel, choose_channel
+from scope.calibrating.plates import Common, Seen
+from scope.session import Image
+
+_COLOURS: tuple[Channel, ...] = ("red", "green", "blue")
+_EVERY: tuple[Channel, ...] = (*_COLOURS, "gray", "red-excess", "green-excess", "blue-excess")
+_BETTER = 0.9  # of the error of the channel that the colours of the images speak for: less is a reason for another
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A channel, and what each that was tried promised."""
+
+    channel: Channel
+    errors: Mapping[str, float]  # px, of one stripe over all its lines; infinite where there is none
+
+
+def candidates(
+    asked: Channel, images: list[Image], *, several: bool, laser_off: bool
+) -> tuple[Channel, tuple[Channel, ...]]:
+    """The channel that the images' colours speak for, and those that compete with it.
+
+    A colour that was named competes with its own excess only. Of several lasers none is read in grey, in which they could not be
+    told apart when they shine together.
+    """
+    usual = choose_channel(images, asked, laser_off=laser_off)
+    if all(image.ndim == 2 or image.shape[2] < 3 for image in images) or asked == "gray" or asked.endswith("-excess"):
+        return usual, (usual,)
+    if asked != "auto":
+        return usual, (asked, f"{asked}-excess")  # type: ignore[return-value]
+    return usual, tuple(channel for channel in _EVERY if channel != "gray" or not several or usual == "gray")
+
+
+def choose(usual: Channel, tried: tuple[Channel, ...], look: Callable[[Channel], Common | None]) -> Choice:
+    """Take the channel of the least error; the usual one unless another is better by a tenth.
+
+    ``look`` gives the stripes of some views in a channel, those on the sheet that the views share: what is no stripe of the laser
+    does not count, however bright.
+    """
+    if len(tried) < 2:
+        return Choice(usual, {})
+    errors: dict[str, float] = {channel: _error(look(channel)) for channel in tried}
+    best = min(tried, key=lambda channel: errors[channel])
+    if not np.isfinite(errors[best]) or errors.get(usual, np.inf) * _BETTER <= errors[best]:
+        best = usual
+    return Choice(best, errors)
+
+
+def _error(common: Common | None) -> float:
+    """Error, px, of one stripe over all its lines: of the position of a line by its sigma and its scatter about the course.
+
+    Lines that have no stripe in a channel, since they are clipped, hidden by the background or lost in noise, are missing
+    from the sum.
+    """
+    if common is None or not common.chosen:
+        return float("inf")
+    information = sum(_information(stripe) for stripe in common.chosen.values())
+    return float(1.0 / np.sqrt(information)) if information > 0 else float("inf")
+
+
+def _information(stripe: Seen) -> float:
+    """Sum over the lines of a stripe of 1/error^2, px^-2."""
+    across = stripe.flat - stripe.flat.mean(axis=0)
+    off = across @ np.linalg.svd(across, full_matrices=False)[2][1] / stripe.scale
+    scatter = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+    return float((1.0 / (np.nan_to_num(stripe.sigma, nan=1.0) ** 2 + scatter**2 + 1e-6)).sum())
