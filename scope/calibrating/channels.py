@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ranging.background import Channel, choose_channel
-from scope.calibrating.plates import Common, Seen
+from scope.calibrating.plates import Seen
 from scope.session import Image
 
 _COLOURS: tuple[Channel, ...] = ("red", "green", "blue")
@@ -40,31 +40,28 @@ def candidates(
     return usual, tuple(channel for channel in _EVERY if channel != "gray" or not several or usual == "gray")
 
 
-def choose(usual: Channel, tried: tuple[Channel, ...], look: Callable[[Channel], Common | None]) -> Choice:
+def choose(usual: Channel, found: Mapping[Channel, Sequence[Seen]]) -> Choice:
     """Take the channel of the least error; the usual one unless another is better by a tenth.
 
-    ``look`` gives the stripes of some views in a channel, those on the sheet that the views share: what is no stripe of the laser
-    does not count, however bright.
+    ``found`` has the stripes of some views in each channel, those on the sheet that the views share: what is no stripe of the
+    laser does not count, however bright.
     """
-    if len(tried) < 2:
-        return Choice(usual, {})
-    errors: dict[str, float] = {channel: _error(look(channel)) for channel in tried}
-    best = min(tried, key=lambda channel: errors[channel])
+    most = max(len(stripes) for stripes in found.values())
+    errors: dict[str, float] = {channel: _error(stripes, most) for channel, stripes in found.items()}
+    best = min(found, key=lambda channel: errors[channel])
     if not np.isfinite(errors[best]) or errors.get(usual, np.inf) * _BETTER <= errors[best]:
         best = usual
     return Choice(best, errors)
 
 
-def _error(common: Common | None) -> float:
-    """Error, px, of one stripe over all its lines: of the position of a line by its sigma and its scatter about the course.
+def _error(stripes: Sequence[Seen], views: int) -> float:
+    """Error, px, of one of the views' stripes over all its lines: each errs by its sigma and its scatter about the course.
 
     Lines that have no stripe in a channel, since they are clipped, hidden by the background or lost in noise, are missing
     from the sum.
     """
-    if common is None or not common.chosen:
-        return float("inf")
-    information = sum(_information(stripe) for stripe in common.chosen.values())
-    return float(1.0 / np.sqrt(information)) if information > 0 else float("inf")
+    information = sum(_information(stripe) for stripe in stripes)
+    return float(np.sqrt(views / information)) if information > 0 else float("inf")
 
 
 def _information(stripe: Seen) -> float:

@@ -17,13 +17,13 @@ from ranging.background import Channel, clipping_level, to_gray
 from ranging.stripe import Along, Stripe, StripeOptions, extract, find_along
 from scope.calibrating.channels import Choice, candidates, choose
 from scope.calibrating.left_out import LeftOut, small
-from scope.calibrating.plates import LEAST, Common, Seen, common_sheet, seen_on, stripes_on
+from scope.calibrating.plates import LEAST, Common, Light, Seen, common_sheet, seen_on, stripes_on
 from scope.session import CalibrationPlan, Image, LaserPlan, PlanePlan, mean_image, read_alike, shape_text
 
 _SAMPLE = 12  # views that choose the channel
 _SHARE = 0.25  # of the light on the plate of a jig, that must lie between the marks for the marks to bound it
 _AGREED = 3  # a third of the views with a stripe must share a sheet
-_BAND = 25  # px about a stripe's course, in which lines that showed other light are looked at again
+_BAND = 8.0  # widths about a stripe's course, in which lines that showed other light are looked at again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,22 +123,25 @@ def _fit(
     plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_Shot], *, curved: bool | None
 ) -> FoundLasers:
     by_hand = all(shot.plane.c_from_target is None for shot in shots)
-    choice = _chosen_channel(plan, laser, camera, shots, by_hand=by_hand)
+    choice, guide = _chosen_channel(plan, laser, camera, shots, by_hand=by_hand)
     look = _look(laser, camera, shots, choice.channel, by_hand=by_hand)
-    views = [_stripes(plan, look, shot) for shot in shots]
-    common = common_sheet([candidates for candidates, _ in views]) if by_hand else None
+    views, common = _all_views(plan, look, shots)
+    courses = {} if common is None else common.chosen
+    if by_hand and guide != choice.channel:
+        shared = _all_views(plan, _look(laser, camera, shots, guide, by_hand=by_hand), shots)[1]
+        courses = courses if shared is None else shared.chosen | courses
     _check_agreement(plan, laser, common)
     stripes, used, left_out = [], [], []
     for shot, (offers, everything) in zip(shots, views, strict=True):
-        kept, reason = _kept(plan, shot, offers, everything, common, laser.name)
+        own, reason = _kept(plan, shot, offers, everything, common, laser.name)
+        kept = _completed(look, shot, own, courses.get(shot.plane.name)) if by_hand else own
         if kept is None:
-            left_out.append(_picture(laser.name, shot, everything, reason))
+            left_out.append(_picture(laser.name, shot, everything.pixels, reason))
             continue
-        kept = _completed(look, shot, kept)
         stripes.append(_points(camera, kept, look.along))
         used.append(LaserView(laser.name, shot.plane.name, to_gray(shot.images[0], look.channel), kept.pixels))
     if len(stripes) < min(2, len(shots)):
-        told = grouped([(each.name, each.reason) for each in left_out], len(shots), "laser images")
+        told = grouped([(each.name, each.reason) for each in left_out], len(shots), "laser images", longest=150)
         raise CalibrationError(
             f"{plan.path}: laser {laser.name}: stripes on {len(stripes)} of {len(shots)} views: {told}"
         )
@@ -149,6 +152,14 @@ def _fit(
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
     return FoundLasers({laser.name: fitted}, tuple(used), tuple(left_out), {laser.name: choice})
+
+
+def _all_views(
+    plan: CalibrationPlan, look: _Look, shots: list[_Shot]
+) -> tuple[list[tuple[list[Seen], Light]], Common | None]:
+    """Stripes of all views, and the sheet that most share, where the views are held by hand."""
+    views = [_stripes(plan, look, shot) for shot in shots]
+    return views, common_sheet([offers for offers, _ in views]) if look.by_hand else None
 
 
 def _check_agreement(plan: CalibrationPlan, laser: LaserPlan, common: Common | None) -> None:
@@ -173,46 +184,59 @@ def _look(laser: LaserPlan, camera: Camera, shots: list[_Shot], channel: Channel
 
 def _chosen_channel(
     plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_Shot], *, by_hand: bool
-) -> Choice:
-    """The channel of the least error on some of the views."""
+) -> tuple[Choice, Channel]:
+    """The channel of the least error on some of the views, and the one that shows the stripe on the most lines."""
     has_dark = all(shot.background is not None for shot in shots)
     images = [shot.images[0] for shot in shots]
     usual, tried = candidates(laser.channel, images, several=len(plan.lasers) > 1, laser_off=has_dark)
+    if len(tried) < 2:
+        return Choice(usual, {}), usual
     some = [shots[k] for k in np.unique(np.linspace(0, len(shots) - 1, _SAMPLE).astype(int))]
+    some = [replace(shot, images=shot.images[:1]) for shot in some]
+    looks = {channel: _look(laser, camera, some, channel, by_hand=by_hand) for channel in tried}
+    found: dict[Channel, dict[str, Seen]] = {}
+    for channel, look in looks.items():
+        common = common_sheet([_stripes(plan, look, shot)[0] for shot in some])
+        found[channel] = {} if common is None else common.chosen
+    guide = max(tried, key=lambda channel: (sum(len(s.line) for s in found[channel].values()), channel == usual))
+    if by_hand:
+        for channel, look in looks.items():
+            if look.along != looks[guide].along:
+                continue
+            each = {shot.plane.name: shot for shot in some}
+            more = {
+                name: _completed(look, each[name], found[channel].get(name), course)
+                for name, course in found[guide].items()
+            }
+            found[channel] |= {name: stripe for name, stripe in more.items() if stripe is not None}
+    return choose(usual, {channel: list(stripes.values()) for channel, stripes in found.items()}), guide
 
-    def stripes(channel: Channel) -> Common | None:
-        look = _look(laser, camera, some, channel, by_hand=by_hand)
-        offers = [_stripes(plan, look, replace(shot, images=shot.images[:1]))[0] for shot in some]
-        return common_sheet(offers)
 
-    return choose(usual, tried, stripes)
-
-
-def _stripes(plan: CalibrationPlan, look: _Look, shot: _Shot) -> tuple[list[Seen], Array]:
-    """Stripes that may lie on the plate, and all light of the image (N, 2) px."""
+def _stripes(plan: CalibrationPlan, look: _Look, shot: _Shot) -> tuple[list[Seen], Light]:
+    """Stripes that may lie on the plate, and all light of the image."""
     dark = None if shot.background is None else to_gray(shot.background, look.channel)
-    pixels, sigma = _averaged(
+    light = _averaged(
         [
             extract(to_gray(image, look.channel), along=look.along, options=look.options, background=dark)
             for image in shot.images
         ]
     )
-    seen = seen_on(look.camera, shot.marks, pixels, sigma)
+    seen = seen_on(look.camera, shot.marks, light)
     plate = plan.plate
     if plate == "auto" and not look.by_hand and seen.marked.sum() >= max(LEAST, _SHARE * len(seen.line)):
         plate = "marks"  # on a jig the rays hold best where its marks are
-    return stripes_on(seen, shot.marks, plate), pixels
+    return stripes_on(seen, shot.marks, plate), light
 
 
 def _kept(
-    plan: CalibrationPlan, shot: _Shot, offers: list[Seen], everything: Array, common: Common | None, laser: str
+    plan: CalibrationPlan, shot: _Shot, offers: list[Seen], everything: Light, common: Common | None, laser: str
 ) -> tuple[Seen | None, str]:
     """The stripe of a view that is used, or why there is none."""
     if not offers:
-        lit = int(np.isfinite(everything).all(axis=1).sum())
+        lit = int(np.isfinite(everything.sigma).sum())
         where = "between the marks" if plan.plate == "marks" else "on the target"
         return None, (
-            f"no stripe {where} ({lit} of {len(everything)} lines have light elsewhere); is the laser on in "
+            f"no stripe {where} ({lit} of {len(everything.sigma)} lines have light elsewhere); is the laser on in "
             f"{shot.plane.lasers[laser][0].name}?"
         )
     if common is None:
@@ -231,42 +255,49 @@ def _picture(laser: str, shot: _Shot, everything: Array, reason: str) -> LeftOut
     return LeftOut("laser", shot.plane.name, reason, laser=laser, image=picture, pixels=found)
 
 
-def _completed(look: _Look, shot: _Shot, stripe: Seen) -> Seen:
-    """The stripe with the lines within it that had brighter light elsewhere, looked at again near its course."""
+def _completed(look: _Look, shot: _Shot, own: Seen | None, course: Seen | None) -> Seen | None:
+    """A view's stripe with the lines that had other light in this channel looked at again, near the stripe's course.
+
+    The course is that of the channel that shows most of the stripe. Lines without an answer of their own stay without.
+    """
     across = 1 if look.along == "rows" else 0
-    first, last = int(stripe.line.min()), int(stripe.line.max())
-    if not look.by_hand or last - first + 1 < 1.1 * len(stripe.line) or len(stripe.line) < 2 * LEAST:
-        return stripe
-    middle, half = 0.5 * (first + last), max(0.5 * (last - first), 1.0)
-    course = np.polyfit((stripe.line - middle) / half, stripe.pixels[:, across], 2)
-    lines = np.arange(first, last + 1)
-    expected = np.polyval(course, (lines - middle) / half)
+    known = [stripe for stripe in (own, course) if stripe is not None]
+    if not known or min(len(stripe.line) for stripe in known) < LEAST:
+        return own
+    line = np.concatenate([stripe.line for stripe in known])
+    place = np.concatenate([stripe.pixels[:, across] for stripe in known])
+    lines = np.arange(int(line.min()), int(line.max()) + 1)
+    missing = lines if own is None else np.setdiff1d(lines, own.line)
+    if len(missing) < 0.1 * len(lines):
+        return own
+    middle, half = float(lines.mean()), max(0.5 * len(lines), 1.0)
+    fitted = np.polyfit((line - middle) / half, place, 2)
+    expected = np.polyval(fitted, (lines - middle) / half)
+    band = int(np.clip(_BAND * np.nanmedian(known[-1].width), 10, 100))
     dark = None if shot.background is None else to_gray(shot.background, look.channel)
-    again = []
-    for image in shot.images:
-        level = to_gray(image, look.channel)
-        again.append(
-            extract(
-                _banded(level, lines, expected, look.along),
-                along=look.along,
-                options=look.options,
-                background=None if dark is None else _banded(dark, lines, expected, look.along),
-            )
+    again = [
+        extract(
+            _banded(to_gray(image, look.channel), lines, expected, band, look.along),
+            along=look.along,
+            options=look.options,
+            background=None if dark is None else _banded(dark, lines, expected, band, look.along),
         )
-    pixels, sigma = _averaged(again)
-    pixels[np.setdiff1d(np.arange(len(pixels)), np.setdiff1d(lines, stripe.line))] = np.nan
-    more = seen_on(look.camera, shot.marks, pixels, sigma)
-    off = np.abs(more.pixels[:, across] - np.polyval(course, (more.line - middle) / half))
-    more = more.select(off < np.maximum(1.0, 3.0 * more.sigma))
-    return _joined(stripe, more)
+        for image in shot.images
+    ]
+    more = seen_on(look.camera, shot.marks, _averaged(again))
+    off = np.abs(more.pixels[:, across] - np.polyval(fitted, (more.line - middle) / half))
+    more = more.select(np.isin(more.line, missing) & (off < np.maximum(1.0, 3.0 * more.sigma)))
+    if own is None:
+        return more if len(more.line) >= LEAST else None
+    return _joined(own, more)
 
 
-def _banded(image: Image, lines: Ints, expected: Array, along: Along) -> Image:
+def _banded(image: Image, lines: Ints, expected: Array, band: int, along: Along) -> Image:
     """Image in which each of some lines shows its own median but near the expected place; all other lines show nothing."""
     across = image.T if along == "rows" else image
     out = np.zeros_like(across)
     for line, place in zip(lines, expected, strict=True):
-        low, high = max(int(place) - _BAND, 0), max(int(place) + _BAND + 1, 0)
+        low, high = max(int(place) - band, 0), max(int(place) + band + 1, 0)
         part = across[line, low:high]
         if len(part):
             out[line] = np.median(part)
@@ -276,11 +307,11 @@ def _banded(image: Image, lines: Ints, expected: Array, along: Along) -> Image:
 
 def _joined(first: Seen, second: Seen) -> Seen:
     order = np.argsort(np.concatenate([first.line, second.line]))
-    pixels, sigma, line, points, flat, marked = (
+    pixels, sigma, width, line, points, flat, marked = (
         np.concatenate([getattr(first, name), getattr(second, name)])[order]
-        for name in ("pixels", "sigma", "line", "points", "flat", "marked")
+        for name in ("pixels", "sigma", "width", "line", "points", "flat", "marked")
     )
-    return replace(first, pixels=pixels, sigma=sigma, line=line, points=points, flat=flat, marked=marked)
+    return replace(first, pixels=pixels, sigma=sigma, width=width, line=line, points=points, flat=flat, marked=marked)
 
 
 def _points(camera: Camera, stripe: Seen, along: Along) -> StripePoints:
@@ -298,8 +329,8 @@ def _along(images: list[Image], darks: list[Image | None]) -> Along:
     return max(("rows", "columns"), key=votes.count)
 
 
-def _averaged(repeats: list[Stripe]) -> tuple[Array, Array]:
-    """Pixels (N, 2) of a stripe seen several times, and their sigma (N,): NaN where no repeat has an answer.
+def _averaged(repeats: list[Stripe]) -> Light:
+    """A stripe seen several times; NaN where no repeat has an answer.
 
     Positions are averaged, not images: a mean of clipped images would be clipped and not know it.
     """
@@ -308,4 +339,13 @@ def _averaged(repeats: list[Stripe]) -> tuple[Array, Array]:
     total = weight.sum(axis=0)
     mean = np.divide(np.nansum(weight * position, axis=0), total, out=np.full_like(total, np.nan), where=total > 0)
     sigma = np.divide(1.0, np.sqrt(total), out=np.full_like(total, np.nan), where=total > 0)
-    return replace(repeats[0], position=mean).pixels, sigma
+    widths = np.where(np.isfinite(position), [stripe.width for stripe in repeats], np.nan)
+    width = np.where(total > 0, widths[0] if len(repeats) == 1 else _middle(widths), np.nan)
+    return Light(replace(repeats[0], position=mean).pixels, sigma, width)
+
+
+def _middle(values: Array) -> Array:
+    """Mean over repeats (k, N) of those that are known; NaN where none is."""
+    known = np.isfinite(values).sum(axis=0)
+    total = np.nansum(values, axis=0)
+    return np.asarray(np.divide(total, known, out=np.full(len(total), np.nan), where=known > 0))

@@ -27,12 +27,22 @@ _APART = 2.5  # px off the common sheet, beyond which a stripe is not of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Light:
+    """What was found on the N lines of an image; NaN where a line has none."""
+
+    pixels: Array  # (N, 2)
+    sigma: Array  # (N,) px
+    width: Array  # (N,) px, one sigma of the profile
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Seen:
     """The light of one laser image, as if all of it lay on the plate's plane."""
 
     name: str
     pixels: Array  # (n, 2)
     sigma: Array  # (n,) px
+    width: Array  # (n,) px, one sigma of the profile
     line: Ints  # (n,) number of the image's line
     points: Array  # (n, 3) mm in C
     flat: Array  # (n, 2) mm, in the target's frame
@@ -43,13 +53,14 @@ class Seen:
     def select(self, keep: Bools | Ints) -> Seen:
         """Return some of the light."""
         return Seen(
-            self.name, self.pixels[keep], self.sigma[keep], self.line[keep], self.points[keep], self.flat[keep],
+            self.name, self.pixels[keep], self.sigma[keep], self.width[keep], self.line[keep], self.points[keep], self.flat[keep],
             self.marked[keep], self.scale, self.extent,
         )  # fmt: skip
 
 
-def seen_on(camera: Camera, marks: PlaneMarks, pixels: Array, sigma: Array) -> Seen:
-    """Light at pixels (N, 2), NaN where a line has none, on the plane of the marks and within the calibrated volume."""
+def seen_on(camera: Camera, marks: PlaneMarks, light: Light) -> Seen:
+    """Light, NaN where a line has none, on the plane of the marks and within the calibrated volume."""
+    pixels = light.pixels
     line = np.flatnonzero(np.isfinite(pixels).all(axis=1))
     plane = Plane.through(marks.c_from_plane.translation, marks.c_from_plane.rotation[:, 2])
     points = plane.intersect(camera.rays(pixels[line])).points if len(line) else np.zeros((0, 3))
@@ -62,7 +73,18 @@ def seen_on(camera: Camera, marks: PlaneMarks, pixels: Array, sigma: Array) -> S
     flat = marks.c_from_plane.inverse.apply(points)[:, :2] if len(points) else np.zeros((0, 2))
     extent = float(np.ptp(marks.points, axis=0).max())
     spread = max(float(np.ptp(marks.pixels, axis=0).max()), 1.0)
-    return Seen(marks.name, pixels[line], sigma[line], line, points, flat, marked, extent / spread, extent)
+    return Seen(
+        marks.name,
+        pixels[line],
+        light.sigma[line],
+        light.width[line],
+        line,
+        points,
+        flat,
+        marked,
+        extent / spread,
+        extent,
+    )
 
 
 def stripes_on(seen: Seen, marks: PlaneMarks, plate: Plate) -> list[Seen]:
