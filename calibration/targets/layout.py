@@ -127,13 +127,15 @@ class MarkerBoard:
 
     Marks ``4 k`` to ``4 k + 3`` are the corners of place k in OpenCV's order: top left, top right, bottom right, bottom left
     of the upright marker. The target's frame has x to the right of a marker that is not turned and, as on the other
-    targets, y down; ``upwards`` is for places that were measured with y up.
+    targets, y down; ``upwards`` is for places that were measured with y up, ``quarters`` for turns that count from another
+    side of the markers.
     """
 
     dictionary: str
     side: float  # mm, of a marker's black square
     places: tuple[MarkerPlace, ...]
     upwards: bool = False
+    quarters: int = 0  # quarter turns that are added to the turn of every place
 
     @property
     def marks(self) -> Array:
@@ -144,7 +146,8 @@ class MarkerBoard:
             square[:, 1] *= -1
         corners = []
         for place in self.places:
-            c, s = np.cos(place.turn), np.sin(place.turn)
+            turn = place.turn + self.quarters * np.pi / 2
+            c, s = np.cos(turn), np.sin(turn)
             corners.append(square @ np.array([[c, s], [-s, c]]) + [place.x, place.y])
         flat = np.concatenate(corners)
         return np.column_stack([flat, np.zeros(len(flat))])

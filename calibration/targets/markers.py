@@ -63,11 +63,15 @@ def find_markers(image: NDArray[np.generic], target: MarkerBoard) -> Corners:
 
 
 def upright(target: MarkerBoard, seen: Corners) -> MarkerBoard:
-    """The target with y down or up, whichever a view of two markers or more agrees with; unchanged where fewer are seen."""
+    """The target as a view of two markers or more shows its frame; unchanged where fewer are seen.
+
+    Whether y was measured down or up, and from which side of the markers their turns were counted, are conventions that
+    centres and corners together tell: the one of the eight that fits is taken.
+    """
     if len(seen.mark) < 8:
         return target
-    down, up = (_misfit(replace(target, upwards=way), seen.pixels, seen.mark) for way in (False, True))
-    return replace(target, upwards=up < down)
+    ways = [replace(target, upwards=up, quarters=k) for up in (False, True) for k in range(4)]
+    return min(ways, key=lambda way: _misfit(way, seen.pixels, seen.mark))
 
 
 def _detect(grey: NDArray[np.uint8], dictionary: str, numbers: list[int], scale: float = 1.0) -> dict[int, Array]:
@@ -119,7 +123,7 @@ def _misfit(target: MarkerBoard, pixels: Array, mark: Ints) -> float:
 
 def _check_places(target: MarkerBoard, pixels: Array, mark: Ints, side: float) -> None:
     """Refuse places that no plane can show so; with four markers the message says how each seems to be turned."""
-    misfit = min(_misfit(replace(target, upwards=way), pixels, mark) for way in (False, True))
+    misfit = _misfit(upright(target, Corners(pixels, mark)), pixels, mark)
     if misfit <= max(_MISFIT * side, 1.0):
         return
     told = "check x, y and turn of each, and `marker`"

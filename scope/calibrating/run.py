@@ -162,8 +162,8 @@ def _finish_jig(
         except CalibrationError as error:
             left_out.append(_view_left_out(plan, s.plan, error))
     found = find_lasers(plan, fit.camera, planes, curved=None)
-    stages = find_stages(plan, fit.camera)
-    left_out += found.left_out
+    stages, missed = find_stages(plan, fit.camera)
+    left_out += [*found.left_out, *missed]
     verdict = judge_jig(plan, seen, fit, found.lasers, stages, left_out)
     return _calibration(plan, seen, fit.camera, found, stages, verdict, fit, None, left_out)
 
@@ -183,8 +183,8 @@ def _finish_freehand(plan: CalibrationPlan, seen: list[MeasuredPlane], left_out:
     placed = {view.name: view for view in fit.views}
     planes = [(s.plan, placed[s.plan.name]) for s in seen if s.plan.name in placed]
     found = find_lasers(plan, fit.camera, planes, curved=False)
-    stages = find_stages(plan, fit.camera)
-    left_out += found.left_out
+    stages, missed = find_stages(plan, fit.camera)
+    left_out += [*found.left_out, *missed]
     verdict = judge_freehand(plan, seen, fit, found.lasers, stages, left_out)
     return _calibration(plan, seen, fit.camera, found, stages, verdict, None, fit, left_out)
 

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array, Pose
 from calibration.targets import Polarity, Target
-from scope.session.target_section import Plate, TargetSection, plate_of, polarity_of, target_of
+from scope.session.target_section import PlaceSection, Plate, TargetSection, plate_of, polarity_of, target_of
 from scope.session.toml_file import (
     MM,
     Flag,
@@ -88,6 +88,20 @@ class StageSection(Section):
     kind: Literal["linear", "turntable"]
     images: Images
     positions: list[Number] = Field(min_length=2)
+    target: TargetSection | None = None
+    dictionary: str | None = None
+    marker: Positive | None = None
+    places: list[PlaceSection] = []
+
+    @model_validator(mode="after")
+    def _one_target(self) -> StageSection:
+        if self.target is not None and self.target.kind == "listed":
+            raise ValueError(
+                "a stage's target cannot be 'listed'; it needs marks that are found: spots, a board or markers"
+            )
+        if bool(self.places) != (self.marker is not None):
+            raise ValueError("marker (their side) and places are needed both where the stage carries markers")
+        return self
 
 
 class CalibrationSection(Section):
@@ -156,6 +170,7 @@ class StagePlan:
     kind: Literal["linear", "turntable"]
     images: tuple[Path, ...]
     positions: Array  # (n,) mm or degrees
+    target: Target | None  # that it carries
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,7 +216,7 @@ def read_calibration(path: Path, *, only: str | None = None) -> CalibrationPlan:
     lasers = _lasers(path, raw, mm)
     names = [laser.name for laser in lasers]
     planes = _distinct(path, [_plane(path, section, names, mm) for section in raw.plane], raw.plane)
-    stages = tuple(_stage(path, section, mm) for section in raw.stage)
+    stages = tuple(_stage(path, section, raw.target, mm) for section in raw.stage)
     limits = {key: value for key, value in raw.accept if value is not None}  # their names say their units
     try:
         target = target_of(raw.target, mm)
@@ -356,11 +371,25 @@ def _listed(path: Path, refine: bool, mm: float) -> ListedMarks:
     return ListedMarks(path, points, np.stack([values["u"], values["v"]], axis=1), refine)
 
 
-def _stage(path: Path, section: StageSection, mm: float) -> StagePlan:
+def _stage(path: Path, section: StageSection, usual: TargetSection, mm: float) -> StagePlan:
     images = _images(path, section.images, "stage.images")
     if len(images) != len(section.positions):
         raise FileError(
             f"{path}: stage: {len(images)} images and {len(section.positions)} positions; one position an image is needed"
         )
     scale = mm if section.kind == "linear" else 1.0
-    return StagePlan(section.kind, images, np.array(section.positions) * scale)
+    try:
+        target = target_of(_carried(section, usual), mm)
+    except CalibrationError as error:
+        raise FileError(f"{path}: stage.target: {error}") from error
+    return StagePlan(section.kind, images, np.array(section.positions) * scale, target)
+
+
+def _carried(section: StageSection, usual: TargetSection) -> TargetSection:
+    """The target of a stage: its own, markers named by the stage or beside the file's target, or the file's target."""
+    if section.target is not None:
+        return section.target
+    own = section if section.places else usual
+    if not own.places:
+        return usual
+    return TargetSection(kind="markers", dictionary=own.dictionary, marker=own.marker, places=own.places)
