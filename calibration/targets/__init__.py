@@ -15,7 +15,7 @@ from calibration.targets.layout import (
     Target,
 )
 from calibration.targets.listed import measure_marks
-from calibration.targets.markers import find_markers, upright
+from calibration.targets.markers import find_markers, spread_of, upright
 from calibration.targets.spots import find_spots
 
 __all__ = [
@@ -35,5 +35,6 @@ __all__ = [
     "find_spots",
     "label_grid",
     "measure_marks",
+    "spread_of",
     "upright",
 ]

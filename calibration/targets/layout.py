@@ -128,7 +128,7 @@ class MarkerBoard:
     Marks ``4 k`` to ``4 k + 3`` are the corners of place k in OpenCV's order: top left, top right, bottom right, bottom left
     of the upright marker. The target's frame has x to the right of a marker that is not turned and, as on the other
     targets, y down; ``upwards`` is for places that were measured with y up, ``quarters`` for turns that count from another
-    side of the markers.
+    side of the markers, and ``spread`` for places that were stated too close together.
     """
 
     dictionary: str
@@ -136,6 +136,7 @@ class MarkerBoard:
     places: tuple[MarkerPlace, ...]
     upwards: bool = False
     quarters: int = 0  # quarter turns that are added to the turn of every place
+    spread: float = 1.0  # by which x and y of every place are multiplied
 
     @property
     def marks(self) -> Array:
@@ -148,7 +149,7 @@ class MarkerBoard:
         for place in self.places:
             turn = place.turn + self.quarters * np.pi / 2
             c, s = np.cos(turn), np.sin(turn)
-            corners.append(square @ np.array([[c, s], [-s, c]]) + [place.x, place.y])
+            corners.append(square @ np.array([[c, s], [-s, c]]) + self.spread * np.array([place.x, place.y]))
         flat = np.concatenate(corners)
         return np.column_stack([flat, np.zeros(len(flat))])
 

@@ -74,6 +74,22 @@ def upright(target: MarkerBoard, seen: Corners) -> MarkerBoard:
     return min(ways, key=lambda way: _misfit(way, seen.pixels, seen.mark))
 
 
+def spread_of(image: NDArray[np.generic], target: MarkerBoard) -> float:
+    """By which factor a target's centres are farther apart than stated, if the side of its markers is right.
+
+    A plane that shows four centres where they should be shows the sides of the markers to scale. NaN where fewer are in view.
+    """
+    seen = _detect(eight_bit(image), target.dictionary, [place.number for place in target.places])
+    order = np.array([k for k, place in enumerate(target.places) if place.number in seen], dtype=np.int64)
+    if len(order) < 4:
+        return float("nan")
+    flat = _flattened(target, np.concatenate([seen[target.places[k].number] for k in order]), order)
+    if flat is None:
+        return float("nan")
+    sides = np.linalg.norm(flat - np.roll(flat, -1, axis=1), axis=2)
+    return float(target.side / np.median(sides))
+
+
 def _detect(grey: NDArray[np.uint8], dictionary: str, numbers: list[int], scale: float = 1.0) -> dict[int, Array]:
     """Corners (4, 2) px of the wanted markers that are seen once."""
     import cv2
@@ -137,21 +153,29 @@ def _check_places(target: MarkerBoard, pixels: Array, mark: Ints, side: float) -
 
 def _turns(target: MarkerBoard, pixels: Array, order: Ints) -> str:
     """How the markers seem to be turned, if their centres are right: for the message."""
-    quads = pixels.reshape(-1, 4, 2)
-    centres = np.array([[target.places[k].x, target.places[k].y] for k in order])
-    middles = np.stack([_crossing(quad) for quad in quads])
-    matrix = _homography(centres, middles)
-    if matrix is None:
+    flat = _flattened(target, pixels, order)
+    if flat is None:
         return "check x, y and turn of each, and `marker`"
-    flat = _mapped(np.asarray(np.linalg.inv(matrix), dtype=np.float64), pixels).reshape(-1, 4, 2)
     along = flat[:, 1] - flat[:, 0] + flat[:, 2] - flat[:, 3]
     turns = np.degrees(np.arctan2(along[:, 1], along[:, 0]))
     stated = np.degrees([target.places[k].turn for k in order])
-    off = np.abs((turns - stated + 180.0) % 360.0 - 180.0)
+    off = (turns - stated + 180.0) % 360.0 - 180.0
+    off = np.abs((off - 90.0 * np.round(off[0] / 90.0) + 180.0) % 360.0 - 180.0)  # a common quarter is a convention
     if off.max() < _TURN:
-        return "their turns agree; check x and y of each, and `marker`"
+        sides = float(np.median(np.linalg.norm(flat - np.roll(flat, -1, axis=1), axis=2)))
+        return f"their turns agree; by their centres the side `marker` would be {sides:.1f} mm"
     seen = ", ".join(f"{target.places[k].number}: {turn % 360.0:.0f}" for k, turn in zip(order, turns, strict=True))
     return f"if their centres are right, turn is about {seen} degrees"
+
+
+def _flattened(target: MarkerBoard, pixels: Array, order: Ints) -> Array | None:
+    """Corners (k, 4, 2) mm of markers on the plane that their centres, where they were stated, span; None where they span none."""
+    quads = pixels.reshape(-1, 4, 2)
+    centres = np.array([[target.places[k].x, target.places[k].y] for k in order]) * target.spread
+    matrix = _homography(centres, np.stack([_crossing(quad) for quad in quads]))
+    if matrix is None:
+        return None
+    return _mapped(np.asarray(np.linalg.inv(matrix), dtype=np.float64), pixels).reshape(-1, 4, 2)
 
 
 def _crossing(quad: Array) -> Array:

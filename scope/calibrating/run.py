@@ -162,10 +162,10 @@ def _finish_jig(
         except CalibrationError as error:
             left_out.append(_view_left_out(plan, s.plan, error))
     found = find_lasers(plan, fit.camera, planes, curved=None)
-    stages, missed = find_stages(plan, fit.camera)
-    left_out += [*found.left_out, *missed]
+    stages = find_stages(plan, fit.camera, found.lasers)
+    left_out += [*found.left_out, *stages.left_out]
     verdict = judge_jig(plan, seen, fit, found.lasers, stages, left_out)
-    return _calibration(plan, seen, fit.camera, found, stages, verdict, fit, None, left_out)
+    return _calibration(plan, seen, fit.camera, found, stages.stages, verdict, fit, None, left_out)
 
 
 def _finish_freehand(plan: CalibrationPlan, seen: list[MeasuredPlane], left_out: list[LeftOut]) -> Calibration:
@@ -183,10 +183,10 @@ def _finish_freehand(plan: CalibrationPlan, seen: list[MeasuredPlane], left_out:
     placed = {view.name: view for view in fit.views}
     planes = [(s.plan, placed[s.plan.name]) for s in seen if s.plan.name in placed]
     found = find_lasers(plan, fit.camera, planes, curved=False)
-    stages, missed = find_stages(plan, fit.camera)
-    left_out += [*found.left_out, *missed]
+    stages = find_stages(plan, fit.camera, found.lasers)
+    left_out += [*found.left_out, *stages.left_out]
     verdict = judge_freehand(plan, seen, fit, found.lasers, stages, left_out)
-    return _calibration(plan, seen, fit.camera, found, stages, verdict, None, fit, left_out)
+    return _calibration(plan, seen, fit.camera, found, stages.stages, verdict, None, fit, left_out)
 
 
 def _calibration(

@@ -28,6 +28,7 @@ from calibration.verification import (
 )
 from scope.calibrating.left_out import LeftOut
 from scope.calibrating.marks import MeasuredPlane
+from scope.calibrating.stages import FoundStages
 from scope.session import CalibrationPlan
 
 NAN = float("nan")
@@ -53,7 +54,7 @@ def judge_jig(
     seen: list[MeasuredPlane],
     fit: TwoPlaneFit,
     lasers: dict[str, Laser],
-    stages: tuple[Stage, ...],
+    stages: FoundStages,
     left_out: Sequence[LeftOut] = (),
 ) -> Verdict:
     """Judge a calibration on known stand-offs: faults, held-out planes, and the limits of [accept]."""
@@ -93,7 +94,8 @@ def judge_jig(
             "random": inside.split.random_px,
         },
         "dropped": [each.content for each in left_out],
-        "stages": [stage_content(stage) for stage in stages],
+        "stages": [stage_content(stage) for stage in stages.stages],
+        "warnings": list(stages.warnings),
     }
     verdict = _verdict(
         plan, seen, rows, lasers, agreement.interplane_px, faults, ray_mm, content, planes=len(fit.marks)
@@ -106,7 +108,7 @@ def judge_freehand(
     seen: list[MeasuredPlane],
     fit: FreehandFit,
     lasers: dict[str, Laser],
-    stages: tuple[Stage, ...],
+    stages: FoundStages,
     left_out: Sequence[LeftOut] = (),
 ) -> Verdict:
     """Judge a calibration from views held by hand: each view against the camera of the others."""
@@ -127,7 +129,8 @@ def judge_freehand(
         "ray_mm": ray_mm,
         "fit_px": fit.fit_px,
         "dropped": [each.content for each in left_out],
-        "stages": [stage_content(stage) for stage in stages],
+        "stages": [stage_content(stage) for stage in stages.stages],
+        "warnings": list(stages.warnings),
     }
     verdict = _verdict(plan, seen, rows, lasers, NAN, _moved(seen), ray_mm, content, planes=0)
     return Verdict(verdict.verification, verdict.content, held_out=held)

@@ -34,6 +34,7 @@ def calibration_text(found: Calibration) -> str:
         )
     lines += [_stage_text(stage) for stage in result["stages"]]
     lines += left_out_lines(found)
+    lines += [f"warning: {text}" for text in result["warnings"]]
     return "\n".join(lines)
 
 
@@ -145,6 +146,8 @@ def calibration_page(found: Calibration) -> str:
         page.verdict("good", f"Passed: {result['why']}.")
     else:
         page.verdict("bad", f"Not passed: {result['why']}.")
+    for text in result["warnings"]:
+        page.text(f"Warning: {text}.")
     page.heading("Figures")
     page.table(_PLANE_HEADERS, _plane_rows(result["planes"]))
     page.table(("figure", "here", "good", "if it is not"), _judged(found))
