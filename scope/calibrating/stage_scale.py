@@ -23,7 +23,8 @@ from scope.session import Image
 
 _LEAST = 3  # positions with a stripe
 _SPREAD = 0.02  # of the factor, within a stripe and from position to position: more is no matter of scale
-_MEANT = 0.02  # a factor nearer to 1 is what placing the target leaves uncertain
+_LEAST_OFF = 0.003  # of a factor from 1, that is worth putting right
+_MEANT = 0.02  # a factor farther from 1 than this is a length that was stated wrongly
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +35,16 @@ class Scale:
     positions: int  # at which the stripe was seen
     laser: str
 
+    @property
+    def mistaken(self) -> bool:
+        """Whether it is more than what measuring and placing a target leave uncertain."""
+        return abs(self.factor - 1.0) > _MEANT
+
 
 def scale_by_lasers(
     camera: Camera, lasers: Mapping[str, Laser], views: Sequence[tuple[PlaneMarks, Image]]
 ) -> Scale | None:
-    """The factor that the stripes on a stage's target tell; None where they tell none, or 1 within 2 %.
+    """The factor that the stripes on a stage's target tell; None where they tell none, or none but 1.
 
     Only for a pinhole: where planes stand at known places, these give the scale.
     """
@@ -50,7 +56,8 @@ def scale_by_lasers(
             continue
         middle = float(np.median(factors))
         spread = 1.4826 * float(np.median(np.abs(np.array(factors) / middle - 1.0)))
-        if abs(middle - 1.0) > _MEANT + 3.0 * spread and spread < _SPREAD:
+        error = 1.25 * spread / np.sqrt(len(factors))  # of a median
+        if abs(middle - 1.0) > max(_LEAST_OFF, 4.0 * error) and spread < _SPREAD:
             return Scale(middle, len(factors), laser.name)
     return None
 

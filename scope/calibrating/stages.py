@@ -36,8 +36,8 @@ class FoundStages:
 def find_stages(plan: CalibrationPlan, camera: Camera, lasers: Mapping[str, Laser]) -> FoundStages:
     """Fit every [[stage]] of a calibration file, each from the target's pose at its positions.
 
-    Where a laser shines on a turntable's target and contradicts the lengths that were stated for it by one factor, the axis is
-    put to the laser's scale, and a warning says so.
+    Where a laser shines on a turntable's target and puts it nearer or farther by one factor than its stated lengths do, the axis
+    is put to the laser's scale, in which is scanned; a warning says so where the factor is more than an error of measurement.
     """
     found = FoundStages()
     for number, plan_of_stage in enumerate(plan.stages, start=1):
@@ -47,10 +47,8 @@ def find_stages(plan: CalibrationPlan, camera: Camera, lasers: Mapping[str, Lase
         scale = scale_by_lasers(camera, lasers, views)
         told = spread
         if scale is not None:
-            told = (
-                *told,
-                _contradiction(number, scale, scaled=stage.kind == "turntable"),
-            )
+            if scale.mistaken:
+                told = (*told, _contradiction(number, scale, scaled=stage.kind == "turntable"))
             if stage.kind == "turntable":
                 centre = centre_of(camera.rays(views[0][0].pixels))
                 stage = replace(stage, point=centre + scale.factor * (stage.point - centre), scale=scale.factor)

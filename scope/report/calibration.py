@@ -78,7 +78,12 @@ def _stage_text(stage: dict[str, Any]) -> str:
     if stage["kind"] == "linear":
         return f"linear stage: direction ({way}) {error}; it travels {stage['scale']:.5f} of what is stated"
     at = ", ".join(f"{x:.3f}" for x in stage["point"])
-    return f"turntable: axis ({way}) through ({at}) {error}"
+    scaled = (
+        ""
+        if stage["scale"] == 1
+        else f"; put to the laser's scale, {stage['scale']:.4f} of what its target's lengths say"
+    )
+    return f"turntable: axis ({way}) through ({at}) {error}{scaled}"
 
 
 _PICTURES = 24  # of what was left out
