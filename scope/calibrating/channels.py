@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.geometry import Array
 from ranging.background import Channel, choose_channel
 from scope.calibrating.plates import Seen
 from scope.session import Image
@@ -14,6 +15,8 @@ from scope.session import Image
 _COLOURS: tuple[Channel, ...] = ("red", "green", "blue")
 _EVERY: tuple[Channel, ...] = (*_COLOURS, "gray", "red-excess", "green-excess", "blue-excess")
 _BETTER = 0.9  # of the error of the channel that the colours of the images speak for: less is a reason for another
+
+_BLOCK = 16  # lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +68,18 @@ def _error(stripes: Sequence[Seen], views: int) -> float:
 
 
 def _information(stripe: Seen) -> float:
-    """Sum over the lines of a stripe of 1/error^2, px^-2."""
+    """Sum over the lines of a stripe of 1/error^2, px^-2.
+
+    What the pattern of a board or the grain of a surface does to neighbouring lines alike does not average out over them: the
+    scatter of the means of blocks of lines tells how much that is.
+    """
     across = stripe.flat - stripe.flat.mean(axis=0)
     off = across @ np.linalg.svd(across, full_matrices=False)[2][1] / stripe.scale
-    scatter = 1.4826 * float(np.median(np.abs(off - np.median(off))))
-    return float((1.0 / (np.nan_to_num(stripe.sigma, nan=1.0) ** 2 + scatter**2 + 1e-6)).sum())
+    variance = _spread(off) ** 2
+    blocks = [block.mean() for block in np.array_split(off, len(off) // _BLOCK)] if len(off) >= 4 * _BLOCK else []
+    shared = _BLOCK * _spread(np.array(blocks)) ** 2 if blocks else 0.0
+    return float((1.0 / (np.nan_to_num(stripe.sigma, nan=1.0) ** 2 + max(variance, shared) + 1e-6)).sum())
+
+
+def _spread(values: Array) -> float:
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))

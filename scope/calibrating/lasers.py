@@ -22,6 +22,8 @@ from scope.session import CalibrationPlan, Image, LaserPlan, PlanePlan, mean_ima
 
 _SAMPLE = 12  # views that choose the channel
 _SHARE = 0.25  # of the light on the plate of a jig, that must lie between the marks for the marks to bound it
+_MOST = 0.5  # of a stripe by hand, likewise
+_NEAR = 6.0  # px off a stripe's line, within which the fit of the sheet judges for itself
 _AGREED = 3  # a third of the views with a stripe must share a sheet
 _BAND = 8.0  # widths about a stripe's course, in which lines that showed other light are looked at again
 
@@ -222,10 +224,21 @@ def _stripes(plan: CalibrationPlan, look: _Look, shot: _Shot) -> tuple[list[Seen
         ]
     )
     seen = seen_on(look.camera, shot.marks, light)
-    plate = plan.plate
-    if plate == "auto" and not look.by_hand and seen.marked.sum() >= max(LEAST, _SHARE * len(seen.line)):
-        plate = "marks"  # on a jig the rays hold best where its marks are
-    return stripes_on(seen, shot.marks, plate), light
+    offers = stripes_on(seen, shot.marks, plan.plate)
+    if plan.plate == "auto" and look.by_hand:
+        offers = [_surest(seen, stripe) for stripe in offers]
+    elif plan.plate == "auto" and seen.marked.sum() >= max(LEAST, _SHARE * len(seen.line)):
+        offers = stripes_on(seen, shot.marks, "marks")  # on a jig the rays hold best where its marks are
+    return offers, light
+
+
+def _surest(seen: Seen, stripe: Seen) -> Seen:
+    """The light between the marks along a stripe, where most of the stripe lies there: there the plate is known to be flat."""
+    if stripe.marked.sum() < max(LEAST, _MOST * len(stripe.line)):
+        return stripe
+    middle = stripe.flat.mean(axis=0)
+    across = np.linalg.svd(stripe.flat - middle, full_matrices=False)[2][1]
+    return seen.select(seen.marked & (np.abs((seen.flat - middle) @ across) < _NEAR * seen.scale))
 
 
 def _kept(

@@ -9,7 +9,7 @@ from calibration.rig import Rig
 from calibration.sheet import Laser
 from ranging.background import Channel, choose_channel
 from ranging.motion import Linear, Motion, Turntable
-from ranging.stripe import Method, StripeOptions, Which
+from ranging.stripe import Method, StripeOptions, Which, best_channel
 from scope.cloud import FilterOptions
 from scope.session import Capture, Image, StageUse, shape_text
 
@@ -59,7 +59,11 @@ def channel_of(capture: Capture, laser: Laser, sample: list[Image], has_dark: bo
     asked = capture.channel if capture.channel != "auto" else laser.channel.partition("-")[0]
     if capture.channel == "auto" and asked == "gray":  # calibrated without colours, which says nothing of these images
         asked = "auto"
-    return choose_channel(sample, asked, laser_off=has_dark) if sample else asked  # type: ignore[arg-type, return-value]
+    if not sample or asked.endswith("-excess"):
+        return asked  # type: ignore[return-value]
+    usual = choose_channel(sample, asked, laser_off=has_dark)  # type: ignore[arg-type]
+    others = ("gray", "red", "green", "blue") if asked == "auto" else (asked,) if asked != "gray" else ()
+    return best_channel(sample, usual, others, along="rows" if laser.along == "rows" else "columns")  # type: ignore[arg-type]
 
 
 def separated_by_colour(
