@@ -16,10 +16,11 @@ import numpy as np
 
 from benchmarks.shared import twin_capture
 from calibration.geometry import Array
+from ranging.stripe import StripeOptions
 from scope import simulation
 from scope.calibrating import calibrate
 from scope.cloud import ScanCloud
-from scope.scanning import run_scan, scan_options
+from scope.scanning import ScanOptions, run_scan
 
 SHARED = Path("../shared/data")
 DESIGN = """format = 1
@@ -95,7 +96,7 @@ def simulated(name: str, rig: dict[str, Any], folder: Path) -> None:
     truth = json.loads((folder / "session" / "truth" / "truth.json").read_text(encoding="utf-8"))
     exact = np.load(folder / "session" / "truth" / "stripe_points.npy")
     column = 0 if truth["laser"]["along"] == "rows" else 1
-    clouds = {m: run_scan(folder / "session" / "capture.toml", calibrated, options=scan_options(method=m)).cloud
+    clouds = {m: run_scan(folder / "session" / "capture.toml", calibrated, options=ScanOptions(StripeOptions(method=m))).cloud
               for m in ("centroid", "auto")}  # fmt: skip
     spheres = []
     for cloud in clouds.values():
@@ -173,7 +174,7 @@ def twin(folder: Path) -> None:
         return found
 
     capture = twin_capture(place, folder)
-    clouds = [run_scan(capture, rig, options=scan_options(method=m)).cloud for m in ("centroid", "auto")]  # type: ignore[arg-type]
+    clouds = [run_scan(capture, rig, options=ScanOptions(StripeOptions(method=m))).cloud for m in ("centroid", "auto")]  # type: ignore[arg-type]
     peer, ours = (judged(cloud) for cloud in clouds)
     truth = json.loads((place / "truth" / "truth.json").read_text(encoding="utf-8"))
     for key, reach in (

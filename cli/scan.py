@@ -71,8 +71,10 @@ def scan(
     """Range every stripe image of a capture and write one point cloud."""
     from calibration.atomic import require_folder, write_text
     from calibration.rig import Rig
+    from ranging.stripe import StripeOptions
+    from scope.cloud import FilterOptions
     from scope.report import scan_page, scan_result, scan_text
-    from scope.scanning import scan_options, scan_to_file
+    from scope.scanning import ScanOptions, scan_to_file
 
     with user_errors():
         require_folder(report)
@@ -80,9 +82,9 @@ def scan(
         if not calibrated.sealed:
             say_unsealed(rig, quiet=quiet)
         with progress("scanning", quiet=quiet) as tick:
-            options = scan_options(
-                method=method, which=which, normals=normals, max_sigma=max_sigma, extrapolate=extrapolate, isolated=isolated,
-                max_incidence=max_incidence, voxel=voxel,
+            options = ScanOptions(
+                StripeOptions(method=method, which=which), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals,
+                filters=FilterOptions(isolated=isolated, max_incidence=max_incidence, voxel=voxel),
             )  # fmt: skip
             found = scan_to_file(capture, calibrated, out, options, resume=resume, on_frame=tick)
         say(f"wrote {out}", quiet=quiet)

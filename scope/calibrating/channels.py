@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.geometry import Array
-from ranging.background import Channel, choose_channel
+from ranging.background import Channel, Image, choose_channel
 from scope.calibrating.plates import Seen
-from scope.session import Image
 
 _COLOURS: tuple[Channel, ...] = ("red", "green", "blue")
 _EVERY: tuple[Channel, ...] = (*_COLOURS, "gray", "red-excess", "green-excess", "blue-excess")

@@ -13,12 +13,12 @@ from calibration.geometry import Array, Ints
 from calibration.grouping import grouped
 from calibration.rays import PlaneMarks
 from calibration.sheet import Laser, StripePoints, fit_laser
-from ranging.background import Channel, clipping_level, to_gray
+from ranging.background import Channel, Image, clipping_level, to_gray
 from ranging.stripe import Along, Stripe, StripeOptions, extract, find_along
 from scope.calibrating.channels import Choice, candidates, choose
 from scope.calibrating.left_out import LeftOut, small
 from scope.calibrating.plates import LEAST, Common, Light, Seen, common_sheet, seen_on, stripes_on
-from scope.session import CalibrationPlan, Image, LaserPlan, PlanePlan, mean_image, read_alike, shape_text
+from scope.session import CalibrationPlan, LaserPlan, PlanePlan, mean_image, read_alike, shape_text
 
 _SAMPLE = 12  # views that choose the channel
 _SHARE = 0.25  # of the light on the plate of a jig, that must lie between the marks for the marks to bound it

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calibration.geometry import Array
-from scope.session import Image
+from ranging.background import Image
 
 Part = Literal["view", "laser", "mark"]
 _WIDTH = 480  # px of a picture that is kept

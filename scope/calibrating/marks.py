@@ -11,7 +11,8 @@ from calibration.errors import CalibrationError
 from calibration.geometry import Array, Pose
 from calibration.rays import PlaneMarks, fit_plane_map, polynomial
 from calibration.targets import Charuco, Chessboard, CircleGrid, MarkerBoard, SpotGrid
-from scope.session import CalibrationPlan, Image, ListedMarks, PlanePlan, mean_gray, read_alike
+from ranging.background import Image
+from scope.session import CalibrationPlan, ListedMarks, PlanePlan, mean_gray, read_alike
 
 Rejected = tuple[float, float, str]  # u, v in px, and why
 

@@ -16,10 +16,9 @@ from calibration.camera import Camera, centre_of
 from calibration.geometry import Array
 from calibration.rays import PlaneMarks
 from calibration.sheet import Laser
-from ranging.background import to_gray
+from ranging.background import Image, to_gray
 from ranging.stripe import StripeOptions, extract
 from scope.calibrating.plates import Light, seen_on, stripes_on
-from scope.session import Image
 
 _LEAST = 3  # positions with a stripe
 _SPREAD = 0.02  # of the factor, within a stripe and from position to position: more is no matter of scale

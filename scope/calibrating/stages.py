@@ -15,10 +15,11 @@ from calibration.rays import PlaneMarks, centre_covariance, locate_target
 from calibration.sheet import Laser
 from calibration.stages import Stage, fit_linear, fit_turntable
 from calibration.targets import MarkerBoard
+from ranging.background import Image
 from scope.calibrating.left_out import LeftOut, small
 from scope.calibrating.marks import measure_plane
 from scope.calibrating.stage_scale import Scale, scale_by_lasers
-from scope.session import CalibrationPlan, Image, PlanePlan, StagePlan, gray, read_image
+from scope.session import CalibrationPlan, PlanePlan, StagePlan, gray, read_image
 
 _CLOSE = 0.03  # share by which sides and places of markers may disagree, as they were measured
 _LEAST = 6  # marks of a position, from which its place follows

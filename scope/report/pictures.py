@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 
 from calibration.geometry import Array
+from ranging.background import Image
 from scope.report.page import Picture, colour_bgr
-from scope.session import Image, gray
+from scope.session import gray
 
 _GREEN, _RED, _YELLOW, _BLUE = (90, 200, 60), (60, 60, 230), (40, 200, 240), (230, 140, 40)
 

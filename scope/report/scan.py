@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ranging.background import choose_channel, to_gray
+from ranging.background import Image, choose_channel, to_gray
 from scope.cloud import ScanCloud, lattice_index
 from scope.report import pictures
 from scope.report.page import Page
 from scope.scanning import Agreement, Scan
-from scope.session import Capture, Image, open_source, read_capture, read_image
+from scope.session import Capture, open_source, read_capture, read_image
 
 _WHY = {
     "no_light": "no peak clear of the noise: nothing there, too dark, or in shadow",

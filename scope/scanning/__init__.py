@@ -3,8 +3,8 @@
 from scope.scanning.agreement import Agreement
 from scope.scanning.covariance import point_covariance
 from scope.scanning.file import scan_to_file
+from scope.scanning.options import ScanOptions
 from scope.scanning.run import run_scan, scan
-from scope.scanning.setup import ScanOptions, scan_options
 from scope.scanning.statistics import Scan
 
-__all__ = ["Agreement", "Scan", "ScanOptions", "point_covariance", "run_scan", "scan", "scan_options", "scan_to_file"]
+__all__ = ["Agreement", "Scan", "ScanOptions", "point_covariance", "run_scan", "scan", "scan_to_file"]

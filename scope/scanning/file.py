@@ -23,11 +23,12 @@ from calibration.atomic import require_folder, written_whole
 from calibration.errors import FileError, ScopeError
 from calibration.rig import Rig, sha256_of
 from scope.cloud import SENSOR, VERTEX, ScanCloud, comments, ply, require_format, sensor_records, vertex_records
+from scope.scanning.assembly import assembled, described, joined, require_points, scan_of, sensors_of
+from scope.scanning.options import ScanOptions
 from scope.scanning.overlap import with_turn_trouble
-from scope.scanning.run import Plan, joined
-from scope.scanning.setup import ScanOptions
+from scope.scanning.run import interrupted, open_scan, runs
+from scope.scanning.setup import ScanSetup
 from scope.scanning.statistics import Chunk, Footprint, Scan, ScanStatistics
-from scope.session import read_capture
 
 _LONGEST = 1 << 16  # bytes of a line of JSON
 _FRAMES = 1024  # whose sensors are held at once
@@ -58,17 +59,17 @@ def scan_to_file(
     end = 0  # of what is already in the part, bytes
     if resume:
         end = _resumed(part, identity, statistics)
-    plan = Plan.of(read_capture(capture), rig, options)
+    setup, source = open_scan(capture, rig, options)
     stream: BinaryIO | None = None
     try:
-        for chunk in plan.chunks(statistics.frames, on_frame):
+        for chunk in runs(setup, source, first=statistics.frames, on_frame=on_frame):
             if stream is None:
                 stream = _continued(part, end) if end else _begun(part, identity)
             _write_chunk(stream, chunk)
             statistics.add(chunk)
-        why = plan.source.trouble
+        why = source.trouble
     except KeyboardInterrupt:
-        why = plan.interrupted(statistics)
+        why = interrupted(source, statistics)
     except ScopeError as error:
         if statistics.points and stream is not None and not stream.closed:
             raise type(error)(
@@ -81,19 +82,19 @@ def scan_to_file(
                 stream.close()
             if statistics.points == 0:  # nothing that were worth resuming
                 part.unlink(missing_ok=True)
-    plan.refuse_nothing(statistics)
-    if out.suffix.lower() == ".ply" and len(plan.lasers) == 1 and not options.normals and not options.filters.any:
-        _write_streamed(out, part, plan, statistics, why)
-        found = plan.scan(
-            lambda: ScanCloud.load(out), statistics, why, time.perf_counter() - started, points=statistics.points
+    require_points(setup, statistics)
+    if out.suffix.lower() == ".ply" and len(setup.lasers) == 1 and not options.normals and not options.filters.any:
+        _write_streamed(out, part, setup, statistics, why)
+        found = scan_of(
+            setup, lambda: ScanCloud.load(out), statistics.points, statistics, why, time.perf_counter() - started
         )
     else:
         cloud = joined([_chunk(head, rows).cloud for head, rows in _records(part)])
-        found = plan.finish(cloud, statistics, why, time.perf_counter() - started)
+        found = assembled(setup, cloud, statistics, why, time.perf_counter() - started)
         found.cloud.save(out)
     if not why:
         part.unlink(missing_ok=True)
-    return with_turn_trouble(found, plan.motion)
+    return with_turn_trouble(found, setup.motion)
 
 
 def _begun(part: Path, identity: dict[str, str]) -> BinaryIO:
@@ -135,18 +136,18 @@ def _write_chunk(stream: BinaryIO, chunk: Chunk) -> None:
         ) from error
 
 
-def _write_streamed(out: Path, part: Path, plan: Plan, statistics: ScanStatistics, why: str) -> None:
+def _write_streamed(out: Path, part: Path, setup: ScanSetup, statistics: ScanStatistics, why: str) -> None:
     """PLY from the chunks of a part, each held alone."""
     with written_whole(out) as stream:
         seen = [np.unique(rows["frame"]) for _, rows in _records(part)]
         frames = np.unique(np.concatenate(seen))
-        nothing = plan.described(ScanCloud.from_points(np.zeros((0, 3))), why, statistics)
-        counts = {"vertex": (VERTEX, statistics.points), "sensor": (SENSOR, len(frames) * len(plan.lasers))}
+        nothing = described(setup, ScanCloud.from_points(np.zeros((0, 3))), why, statistics)
+        counts = {"vertex": (VERTEX, statistics.points), "sensor": (SENSOR, len(frames) * len(setup.lasers))}
         stream.write(ply.header(counts, comments(nothing)))
         for _, rows in _records(part):
             stream.write(rows.tobytes())
         for start in range(0, len(frames), _FRAMES):
-            sensors = plan.sensors(frames[start : start + _FRAMES].tolist())
+            sensors = sensors_of(setup, frames[start : start + _FRAMES].tolist())
             stream.write(sensor_records(sensors).tobytes())
 
 

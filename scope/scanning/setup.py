@@ -1,106 +1,69 @@
-"""What a scan may be asked for, and how a capture and a rig fit: lasers, channels, sizes, motion."""
+"""How a capture, or frames in memory, and a rig fit: all that stays the same from frame to frame."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from calibration.errors import FileError
+from calibration.geometry import Array
 from calibration.rig import Rig
 from calibration.sheet import Laser
-from ranging.background import Channel, choose_channel
-from ranging.motion import Linear, Motion, Turntable
-from ranging.stripe import Method, StripeOptions, Which, best_channel
-from scope.cloud import FilterOptions
-from scope.session import Capture, Image, StageUse, shape_text
+from ranging.background import Channel, Image, saturation_level
+from ranging.motion import Motion
+from ranging.stripe import StripeOptions
+from scope.scanning.options import ScanOptions
+from scope.session import shape_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ScanOptions:
-    """What a scan may be asked for."""
+class Asked:
+    """What a capture file, or a caller with frames in memory, says of the frames."""
 
-    stripe: StripeOptions = field(default_factory=StripeOptions)
-    extrapolate: float = 0.0  # mm outside the calibrated volume that are still ranged
-    max_sigma: float | None = None  # mm; points less certain than this are rejected
-    normals: bool = False
-    filters: FilterOptions = field(default_factory=FilterOptions)
-
-
-def scan_options(
-    *,
-    method: Method = "auto",
-    which: Which = "strongest",
-    normals: bool = False,
-    max_sigma: float | None = None,
-    extrapolate: float = 0.0,
-    isolated: int | None = None,
-    max_incidence: float | None = None,
-    voxel: float | None = None,
-) -> ScanOptions:
-    """Options of a scan as the command line gives them."""
-    return ScanOptions(
-        StripeOptions(method=method, which=which), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals,
-        filters=FilterOptions(isolated=isolated, max_incidence=max_incidence, voxel=voxel),
-    )  # fmt: skip
+    owner: str  # the capture file, for messages
+    motion: Motion
+    lasers: tuple[Laser, ...]
+    channel: Channel = "auto"
+    laser_off: bool = False  # laser-off images are subtracted: one mean for all frames, or one with each frame
+    background: tuple[Image, ...] = ()  # laser-off images whose mean serves all frames
+    in_turn: bool = False  # lasers take turns from frame to frame; else they shine together
 
 
-def lasers_of(capture: Capture, rig: Rig) -> tuple[Laser, ...]:
-    """Lasers of the rig that a capture shows; ``FileError`` where it names another, or the rig has none."""
-    if not rig.lasers:
-        raise FileError(f"{capture.path}: the rig has no laser; calibrate with laser images on its planes")
-    wanted = capture.lasers if capture.lasers is not None else tuple(rig.lasers)
-    for name in wanted:
-        if name not in rig.lasers:
-            raise FileError(f"{capture.path}: lasers names {name!r}; the rig has {', '.join(rig.lasers)}: correct it")
-    return tuple(rig.lasers[name] for name in wanted)
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanSetup:
+    """What turns frames into points."""
+
+    owner: str  # the capture file, for messages
+    rig: Rig
+    options: ScanOptions
+    motion: Motion
+    lasers: tuple[Laser, ...]
+    channels: tuple[Channel, ...]  # of each laser
+    darks: tuple[Image | None, ...]  # mean laser-off image in each laser's channel
+    in_turn: bool
+    stripe: StripeOptions  # with the noise of the camera, where some frames have told it
+    centre: Array  # (3,) mm, camera centre in C
+    like: Image | None  # with whose depth and channels all frames must agree; None before any has come
+
+    def saturation(self, image: Image) -> float:
+        """Grey level at which the camera of an image clips."""
+        known = self.stripe.saturation
+        return float(saturation_level(image.dtype) if known is None else known)
+
+    def require_alike(self, image: Image, name: str) -> None:
+        """Refuse with ``FileError`` a frame of another size, depth or number of channels than the rig's or the first's."""
+        require_size(image, self.rig, f"{self.owner}: {name}")
+        if self.like is not None and (image.dtype != self.like.dtype or image.ndim != self.like.ndim):
+            raise FileError(
+                f"{self.owner}: {name}: {shape_text(image)}, others have {shape_text(self.like)}; all frames of "
+                "a scan must agree: take them with the same settings"
+            )
 
 
-def channel_of(capture: Capture, laser: Laser, sample: list[Image], has_dark: bool) -> Channel:
-    """Channel in which a laser is read: what was asked for, what it was calibrated in, or what a few frames tell."""
-    asked = capture.channel if capture.channel != "auto" else laser.channel.partition("-")[0]
-    if capture.channel == "auto" and asked == "gray":  # calibrated without colours, which says nothing of these images
-        asked = "auto"
-    if not sample or asked.endswith("-excess"):
-        return asked  # type: ignore[return-value]
-    usual = choose_channel(sample, asked, laser_off=has_dark)  # type: ignore[arg-type]
-    others = ("gray", "red", "green", "blue") if asked == "auto" else (asked,) if asked != "gray" else ()
-    return best_channel(sample, usual, others, along="rows" if laser.along == "rows" else "columns")  # type: ignore[arg-type]
-
-
-def separated_by_colour(
-    capture: Capture, lasers: tuple[Laser, ...], channels: tuple[Channel, ...]
-) -> tuple[Channel, ...]:
-    """Channels of lasers that shine at once: each colour's excess, so that one line does not show in the other's image."""
-    colours = [channel.partition("-")[0] for channel in channels]
-    if len(set(colours)) < len(colours) or {"gray", "auto"} & set(colours):
-        told = ", ".join(f"{laser.name} is read in {colour}" for laser, colour in zip(lasers, colours, strict=True))
-        raise FileError(
-            f"{capture.path}: {told}: lasers that shine together are told apart by colour; give each [laser.NAME] a channel "
-            'of its own at calibration, scan one at a time (lasers), or take turns (sequence = "cycle")'
-        )
-    return tuple(f"{colour}-excess" for colour in colours)  # type: ignore[misc]
-
-
-def check_size(image: Image, capture: Capture, rig: Rig, name: str = "its images") -> None:
+def require_size(image: Image, rig: Rig, whose: str) -> None:
     """Refuse with ``FileError`` an image of another size than the rig was calibrated at."""
     width, height = rig.camera.size
     if image.shape[:2] != (height, width):
         raise FileError(
-            f"{capture.path}: {name}: {shape_text(image)}; the rig was calibrated at {width} x {height} px: use the camera "
+            f"{whose}: {shape_text(image)}; the rig was calibrated at {width} x {height} px: use the camera "
             "settings of the calibration, or the rig of this camera"
         )
-
-
-def motion_of(capture: Capture, rig: Rig) -> Motion:
-    """Motion of a capture, by the stage of the rig where it asks for that; ``FileError`` where the rig has none."""
-    use = capture.motion
-    if not isinstance(use, StageUse):
-        return use
-    for stage in rig.stages:
-        if stage.kind == use.kind:
-            if use.kind == "linear":
-                return Linear(stage.direction, use.positions, use.sign)
-            return Turntable(stage.point, stage.direction, use.positions, use.sign)
-    raise FileError(
-        f"{capture.path}: motion asks for the rig's {use.kind} stage, and the rig has none; add a [[stage]] to "
-        "calibration.toml, or give the direction or axis here"
-    )

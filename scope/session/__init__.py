@@ -10,7 +10,7 @@ from scope.session.calibration_file import (
 )
 from scope.session.capture import Capture, StageUse, read_capture
 from scope.session.frames import AHEAD, Frame, Source, frames_in_memory, in_order, open_source
-from scope.session.images import Image, gray, mean_gray, mean_image, read_alike, read_image, shape_text
+from scope.session.images import gray, mean_gray, mean_image, read_alike, read_image, shape_text
 from scope.session.target_section import Plate
 from scope.session.templates import TEMPLATES, write_template
 from scope.session.toml_file import MM
@@ -20,7 +20,6 @@ __all__ = [
     "CalibrationPlan",
     "Capture",
     "Frame",
-    "Image",
     "LaserPlan",
     "ListedMarks",
     "MM",

@@ -230,13 +230,11 @@ def _motion(path: Path, section: MotionSection, images: tuple[Path, ...], mm: fl
     sign = -1.0 if section.moves == "sensor" else 1.0
     if section.kind == "linear":
         if isinstance(section.direction, tuple):
-            direction = np.array(section.direction)
-            return Linear(direction / np.linalg.norm(direction), positions, sign)
+            return Linear(section.direction, positions=positions, sign=sign)
         return StageUse("linear", positions, sign)
     if section.axis_direction is None or section.axis_point is None:
         return StageUse("turntable", positions, sign)
-    axis = np.array(section.axis_direction)
-    return Turntable(np.array(section.axis_point) * mm, axis / np.linalg.norm(axis), positions, sign)
+    return Turntable(np.array(section.axis_point) * mm, section.axis_direction, positions=positions, sign=sign)
 
 
 def _rows_of_frames(path: Path, columns: dict[str, list[str]], images: tuple[Path, ...]) -> list[int]:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 from calibration.errors import FileError
+from ranging.background import Image
 from ranging.errors import RangingError
 from scope.session.capture import Capture
-from scope.session.images import Image, read_image
+from scope.session.images import read_image
 
 T = TypeVar("T")
 AHEAD = 20  # frames held at once, at most: while one run of frames is ranged, the threads go on with the next
@@ -48,8 +49,8 @@ class Source(Protocol):
         """Whether only the user ends it, so that an interrupt is no loss."""
         ...
 
-    def sample(self, count: int) -> list[Frame]:
-        """A few frames, to choose channel and noise by; they come again from `loaders`."""
+    def first(self, count: int) -> list[Frame]:
+        """The first frames, ``count`` at most and fewer of large ones; they come again from `loaders`."""
         ...
 
     def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
@@ -57,11 +58,12 @@ class Source(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Folder:
     """Image files."""
 
     capture: Capture
+    _ahead: dict[int, Frame] = field(default_factory=dict)  # frames read before they were asked for
 
     @property
     def count(self) -> int:
@@ -78,16 +80,27 @@ class Folder:
         """False: the files are counted."""
         return False
 
-    def sample(self, count: int) -> list[Frame]:
-        """Frames spread evenly over the folder."""
-        return [self._load(k) for k in range(0, self.count, max(1, self.count // count))[:count]]
+    def first(self, count: int) -> list[Frame]:
+        """The first frames, kept for `loaders`."""
+        for k in range(min(count, self.count)):
+            if k >= frames_in_memory(self._ahead[0].image if k else None, count):
+                break
+            try:
+                self._ahead[k] = self._load(k)
+            except FileError:  # told when its turn comes
+                break
+        return [self._ahead[k] for k in sorted(self._ahead)]
 
     def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
         """One loader a frame: files are decoded in the threads that call them."""
+        for k in [k for k in self._ahead if k < first]:
+            del self._ahead[k]
         for k in range(first, self.count):
             yield lambda k=k: self._load(k)  # type: ignore[misc]
 
     def _load(self, k: int) -> Frame:
+        if k in self._ahead:
+            return self._ahead.pop(k)
         capture = self.capture
         number = k if capture.numbers is None else capture.numbers[k]
         if capture.background_mode == "alternate":
@@ -137,11 +150,10 @@ class Stream:
         """Whether this is a camera of which no number of frames was asked."""
         return self.capture.video is None and self.count is None
 
-    def sample(self, count: int) -> list[Frame]:
+    def first(self, count: int) -> list[Frame]:
         """The first frames: a stream cannot be wound back, so they are kept for `loaders`."""
-        while len(self._ahead) < count and (frame := self._next()) is not None:
-            self._ahead.append(frame)
-        return list(self._ahead)[:count]
+        _fill(self._ahead, self._next, count)
+        return list(self._ahead)
 
     def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
         """Loaders of frames that were read here, in order; a stream ends with its last frame."""
@@ -191,6 +203,51 @@ class Stream:
                 f"{self.name}: by its timestamps {self._skipped} frames were dropped before frame {k} and with `step` what "
                 "follows is misplaced; list `positions`"
             )
+
+
+@dataclass(slots=True, eq=False)
+class Iterated:
+    """Frames in memory, or as they come from anywhere: an iterable of images, or of (image, laser-off image)."""
+
+    images: Iterator[Image | tuple[Image, Image]]
+    count: int | None = None
+    trouble: str = ""
+    endless: bool = False
+    _ahead: deque[Frame] = field(default_factory=deque)
+    _read: int = 0
+
+    @classmethod
+    def of(cls, images: Iterable[Image | tuple[Image, Image]]) -> Iterated:
+        """Source of any iterable; its length is known where it has one."""
+        return cls(iter(images), len(images) if isinstance(images, Sized) else None)
+
+    def first(self, count: int) -> list[Frame]:
+        """The first frames, kept for `loaders`."""
+        _fill(self._ahead, self._next, count)
+        return list(self._ahead)
+
+    def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
+        """The frames as they come."""
+        while (frame := self._ahead.popleft() if self._ahead else self._next()) is not None:
+            if frame.number >= first:
+                yield lambda frame=frame: frame  # type: ignore[misc]
+
+    def _next(self) -> Frame | None:
+        given = next(self.images, None)
+        if given is None:
+            return None
+        image, dark = given if isinstance(given, tuple) else (given, None)
+        k, self._read = self._read, self._read + 1
+        return Frame(k, f"frame {k}", image, dark)
+
+
+def _fill(ahead: deque[Frame], read: Callable[[], Frame | None], count: int) -> None:
+    """Read frames ahead until there are ``count``, or as many as may be held."""
+    while len(ahead) < min(count, frames_in_memory(ahead[0].image if ahead else None, count)):
+        frame = read()
+        if frame is None:
+            return
+        ahead.append(frame)
 
 
 def _decoder() -> int:

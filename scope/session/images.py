@@ -5,15 +5,14 @@ from __future__ import annotations
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import FileError
 from calibration.geometry import Array
+from ranging.background import Image
 
-Image = NDArray[Any]  # (rows, columns) or (rows, columns, 3) BGR; uint8 or uint16
 _MOST_PIXELS = 200_000_000
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ranging.motion import Positions, Turntable
+from ranging.motion import Turntable
 from scope.cloud import ScanCloud
 from scope.scanning.overlap import turn_trouble
 
@@ -28,7 +28,7 @@ def turned(
 ) -> tuple[ScanCloud, Turntable]:
     """Cloud put together by the stated step, of a table that turned by ``factor`` of it; sheet of light x = ``offset``."""
     stated = np.radians(step) * np.arange(frames)
-    motion = Turntable(np.zeros(3), AXIS, Positions(0.0, np.radians(step)))
+    motion = Turntable(np.zeros(3), AXIS, np.radians(step))
     rng = np.random.default_rng(4)
     y = np.linspace(-60, 60, LINES)
     parts = []

@@ -68,7 +68,7 @@ class Camera:
 def test_a_video_comes_in_order_and_its_sample_comes_again(tmp_path: Path, first: int) -> None:
     video(tmp_path)
     source = open_source(read_capture(capture(tmp_path, 'video = "sweep.avi"')))
-    assert [level(frame) for frame in source.sample(3)] == [(0, 0), (1, 1), (2, 2)]
+    assert [level(frame) for frame in source.first(3)] == [(0, 0), (1, 1), (2, 2)]
     assert list(in_order(source, level, first=first)) == [(k, k) for k in range(first, 20)]
     assert source.count == 20
     assert source.trouble == ""
@@ -134,7 +134,7 @@ def test_a_camera_that_stops_keeps_what_it_gave(
     camera = Camera(6)
     monkeypatch.setattr(cv2, "VideoCapture", lambda _index: camera)
     source = open_source(read_capture(capture(tmp_path, f"camera = 0\n{asked}")))
-    assert [level(frame) for frame in source.sample(2)] == [(0, 0), (1, 1)]
+    assert [level(frame) for frame in source.first(2)] == [(0, 0), (1, 1)]
     assert list(in_order(source, level)) == [(k, k) for k in range(6)]
     assert told in source.trouble
     assert camera.released
@@ -144,7 +144,7 @@ def test_a_camera_that_stops_keeps_what_it_gave(
 def test_a_camera_gives_no_more_than_was_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cv2, "VideoCapture", lambda _index: Camera(100))
     source = open_source(read_capture(capture(tmp_path, "camera = 0\nframes = 4")))
-    source.sample(3)
+    source.first(3)
     assert list(in_order(source, level)) == [(k, k) for k in range(4)]
     assert source.trouble == ""
 
