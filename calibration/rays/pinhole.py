@@ -10,6 +10,7 @@ import numpy as np
 
 from calibration.errors import CalibrationError
 from calibration.geometry import Array, Pose, Rays
+from calibration.grouping import grouped
 from calibration.rays.plane_map import PlaneMarks, rms
 from calibration.volume import Volume
 
@@ -135,7 +136,7 @@ def fit_freehand(
     dropped = [*dropped, *few]
     while True:
         if len(kept) < 3:
-            reasons = "; ".join(f"{name}: {reason}" for name, reason in dropped)
+            reasons = grouped(dropped, asked, "views", longest=150)
             raise CalibrationError(
                 f"{len(kept)} usable freehand view(s) of {asked}; a camera needs three or more, tilted differently: "
                 f"take more views{' (' + reasons + ')' if reasons else ''}"

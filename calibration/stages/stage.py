@@ -21,7 +21,7 @@ class Stage:
     direction: Array  # (3,) unit: of travel, or of the axis (right-hand rule for growing positions)
     point: Array  # (3,) mm: on the axis; the first position of the target for a linear stage
     direction_sigma: float  # rad, one standard deviation of the direction about either perpendicular
-    scale: float  # travelled over stated (1 where the stage tells the truth); 1 for a turntable
+    scale: float  # travelled over stated; of a turntable: by which the stated lengths of its target were multiplied
     rms_mm: float  # of the marks about the motion
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from calibration.errors import CalibrationError
 from calibration.geometry import Array, Ints
+from calibration.targets._looks import eight_bit, looks, refined
 from calibration.targets.layout import Charuco, Chessboard
 
 
@@ -40,15 +41,17 @@ def find_chessboard(image: NDArray[np.generic], target: Chessboard) -> Corners:
     Raises
     ------
     CalibrationError
-        The board is not in view as a whole, or its rows and columns are swapped.
+        The board is not in view as a whole, its rows and columns are swapped, or more corners than were told go on with its
+        pattern.
 
     Notes
     -----
     OpenCV's sector-based detector (Duda and Frese, BMVC 2018), whose own sub-pixel step is improved on by the gradient
     condition of `cornerSubPix`: every gradient near a corner is normal to the line to it (Forstner and Gulch 1987). It now
-    and then misses a board that is in plain view; it is then asked without normalising, and after it the older detector.
+    and then misses a board that is in plain view; it is then asked without normalising, and after it the older detector, and
+    both again at other scales and contrasts.
     """
-    grey = _eight_bit(image)
+    grey = eight_bit(image)
     pixels = _detect(grey, target.rows, target.columns)
     if pixels is None:
         raise CalibrationError(
@@ -64,24 +67,79 @@ def find_chessboard(image: NDArray[np.generic], target: Chessboard) -> Corners:
     limit = max(6.0 * 1.4826 * float(np.median(away)), 1.0)
     # the detector may put single corners pixels away; they are sought again where their neighbours expect them
     start = np.where((away > limit)[:, None], expected, grid.reshape(-1, 2))
-    moved = _refine(grey, start, _spacing(grid))
+    _check_whole(grey, grid)
+    moved = refined(grey, start, _spacing(grid))
     known = np.linalg.norm(moved - expected, axis=1) <= limit + 0.5
     return Corners(moved[known], np.flatnonzero(known))
 
 
 def _detect(grey: NDArray[np.uint8], rows: int, columns: int) -> Array | None:
-    """Corners (rows * columns, 2) px of a chessboard by the first detector that sees it whole."""
+    """Corners (rows * columns, 2) px of a chessboard by the first detector that sees it whole, in whatever look of the image."""
     import cv2
 
     thorough = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    for flags in (thorough | cv2.CALIB_CB_NORMALIZE_IMAGE, thorough):
-        found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=flags)
+    plain = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    for k, (look, scale) in enumerate(looks(grey)):
+        for flags in (thorough | cv2.CALIB_CB_NORMALIZE_IMAGE, thorough)[: 2 if k == 0 else 1]:
+            found, corners = cv2.findChessboardCornersSB(look, (columns, rows), flags=flags)
+            if found:
+                return (np.asarray(corners, dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
+        found, corners = cv2.findChessboardCorners(
+            look, (columns, rows), flags=plain | cv2.CALIB_CB_FAST_CHECK * (k > 0)
+        )
         if found:
-            return np.asarray(corners, dtype=np.float64).reshape(-1, 2)
-    found, corners = cv2.findChessboardCorners(
-        grey, (columns, rows), flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    )
-    return np.asarray(corners, dtype=np.float64).reshape(-1, 2) if found else None
+            return (np.asarray(corners, dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
+    return None
+
+
+def _check_whole(grey: NDArray[np.uint8], grid: Array) -> None:
+    """Refuse a board whose pattern goes on beyond the rows or columns that were told.
+
+    Beyond the last inner corners of a whole board lie its outer squares, whose other corners touch the margin: of the four
+    quadrants about such a place two are margin. Where all four alternate as about an inner corner, the board is larger.
+    """
+    rows, columns = grid.shape[:2]
+    for axis, what in ((1, "columns"), (0, "rows")):
+        along = grid if axis == 1 else grid.transpose(1, 0, 2)
+        for end in (along, along[:, ::-1]):
+            if end.shape[1] < 3:
+                continue
+            more = 3 * end[:, 0] - 3 * end[:, 1] + end[:, 2]  # a quadratic goes on
+            if _alternates(grey, more, end[:, 0] - end[:, 1], end):
+                count = columns if axis == 1 else rows
+                raise CalibrationError(
+                    f"a chessboard of {rows} x {columns} inner corners was told, and its pattern goes on: it has {count + 1} "
+                    f"{what} or more; count the inner corners again, since which of them are seen would be a guess"
+                )
+
+
+def _alternates(grey: NDArray[np.uint8], places: Array, outwards: Array, end: Array) -> bool:
+    """Whether most of a line of places (n, 2) px beyond a grid look as inner corners do, as those of the grid's rim show it."""
+    sideways = np.gradient(end[:, 0], axis=0)
+    rim = np.abs(_saddle(grey, end[:, 0], outwards, sideways))
+    beyond = np.abs(_saddle(grey, places, outwards, sideways))
+    known = np.isfinite(beyond) & np.isfinite(rim)
+    if known.sum() < max(3, 0.6 * len(places)):
+        return False
+    return bool(np.mean(beyond[known] > 0.75 * np.median(rim[known])) > 0.7)
+
+
+def _saddle(grey: NDArray[np.uint8], places: Array, outwards: Array, sideways: Array) -> Array:
+    """Grey levels (n,) by which opposite quadrants about places differ from the others; NaN where they leave the image."""
+    total = np.zeros(len(places))
+    for a in (-0.4, 0.4):
+        for b in (-0.4, 0.4):
+            total += np.sign(a * b) * _levels(grey, places + a * outwards + b * sideways)
+    return total
+
+
+def _levels(grey: NDArray[np.uint8], pixels: Array) -> Array:
+    """Grey levels (n,) at the nearest pixels; NaN outside."""
+    at = np.rint(pixels).astype(int)
+    inside = ((at >= 0) & (at < np.array(grey.shape[::-1]))).all(axis=1)
+    levels = np.full(len(at), np.nan)
+    levels[inside] = grey[at[inside, 1], at[inside, 0]]
+    return levels
 
 
 def find_charuco(image: NDArray[np.generic], target: Charuco) -> Corners:
@@ -115,7 +173,7 @@ def find_charuco(image: NDArray[np.generic], target: Charuco) -> Corners:
         (target.columns, target.rows), target.pitch[0], target.marker, cv2.aruco.getPredefinedDictionary(number)
     )
     board.setLegacyPattern(target.legacy)
-    grey = _eight_bit(image)
+    grey = eight_bit(image)
     corners, marks, _, markers = cv2.aruco.CharucoDetector(board).detectBoard(grey)
     count = 0 if marks is None else len(marks)
     seen = 0 if markers is None else len(markers)
@@ -149,27 +207,3 @@ def _spacing(grid: Array) -> float:
     """Shortest distance, px, between neighbours of a (rows, columns, 2) grid of corners."""
     steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2) for axis in (0, 1) if grid.shape[axis] > 1]
     return float(min(step.min() for step in steps))
-
-
-def _refine(grey: NDArray[np.uint8], corners: Array, spacing: float) -> Array:
-    """Corners moved to where the gradients of their surroundings, a third of a square, point."""
-    import cv2
-
-    half = int(np.clip(spacing / 3.0, 2, 12))
-    until = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
-    moved = cv2.cornerSubPix(grey, corners.astype(np.float32).reshape(-1, 1, 2), (half, half), (-1, -1), until)
-    moved = np.asarray(moved, dtype=np.float64).reshape(-1, 2)
-    # where the surroundings mislead, by glare or an edge of the board, the detector's own answer stands
-    return np.where(np.linalg.norm(moved - corners, axis=1, keepdims=True) < 1.0, moved, corners)
-
-
-def _eight_bit(image: NDArray[np.generic]) -> NDArray[np.uint8]:
-    """Stretch an image to the 8 bits that the detectors take; the darkest and brightest thousandth may clip."""
-    grey = np.asarray(image)
-    if grey.ndim != 2 or not grey.size:
-        raise ValueError(f"an image is (H, W), one channel; found shape {grey.shape}")
-    if grey.dtype == np.uint8:
-        return np.ascontiguousarray(grey)
-    low, high = np.percentile(grey[:: max(1, grey.shape[0] // 512), :: max(1, grey.shape[1] // 512)], [0.1, 99.9])
-    scaled = (grey.astype(np.float64) - low) * (255.0 / max(high - low, 1e-9))
-    return np.asarray(np.clip(np.round(scaled), 0, 255), dtype=np.uint8)

@@ -143,7 +143,9 @@ def _expected_size(cell: Ints, target: SpotGrid) -> Array:
 
 def _fiducial_size(target: SpotGrid) -> float:
     """Diameter of a fiducial over that of an ordinary spot; half as large again where the target does not say."""
-    return 1.5 if target.fiducial_diameter is None else target.fiducial_diameter / target.diameter
+    if target.fiducial_diameter is None or target.diameter is None:
+        return 1.5
+    return target.fiducial_diameter / target.diameter
 
 
 def _right_handed(index: Ints, points: Array) -> Ints:

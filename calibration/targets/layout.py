@@ -30,7 +30,7 @@ class SpotGrid:
     rows: int
     columns: int
     pitch: tuple[float, float]  # mm, along x and y
-    diameter: float  # mm
+    diameter: float | None = None  # mm; None where it is not known
     polarity: Polarity = "light"
     fiducials: tuple[GridIndex, ...] = ()
     fiducial_diameter: float | None = None  # mm
@@ -90,7 +90,71 @@ class Charuco:
         return _lattice(self.rows - 1, self.columns - 1, self.pitch)
 
 
-Target: TypeAlias = SpotGrid | Chessboard | Charuco
+@dataclass(frozen=True, slots=True)
+class CircleGrid:
+    """OpenCV's asymmetric grid of circles: ``rows`` of ``columns`` each, every other row shifted by half a column.
+
+    Mark ``row * columns + column`` stands at ``((2 * column + row % 2) * pitch, row * pitch, 0)``.
+    """
+
+    rows: int
+    columns: int
+    pitch: float  # mm, from neighbour to neighbour along a diagonal, in x and in y
+    diameter: float | None = None  # mm; None where it is not known
+    polarity: Polarity = "dark"
+
+    @property
+    def marks(self) -> Array:
+        """(rows * columns, 3) mm."""
+        points = _lattice(self.rows, self.columns, (2 * self.pitch, self.pitch))
+        points[:, 0] += self.pitch * (np.arange(len(points)) // self.columns % 2)
+        return points
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerPlace:
+    """Where one square marker is on a target."""
+
+    number: int  # of the dictionary
+    x: float  # mm, of its centre
+    y: float  # mm
+    turn: float = 0.0  # rad, from x to y
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerBoard:
+    """ArUco or AprilTag markers at known places of one plane; any of them may be in view.
+
+    Marks ``4 k`` to ``4 k + 3`` are the corners of place k in OpenCV's order: top left, top right, bottom right, bottom left
+    of the upright marker. The target's frame has x to the right of a marker that is not turned and, as on the other
+    targets, y down; ``upwards`` is for places that were measured with y up, ``quarters`` for turns that count from another
+    side of the markers, and ``spread`` for places that were stated too close together.
+    """
+
+    dictionary: str
+    side: float  # mm, of a marker's black square
+    places: tuple[MarkerPlace, ...]
+    upwards: bool = False
+    quarters: int = 0  # quarter turns that are added to the turn of every place
+    spread: float = 1.0  # by which x and y of every place are multiplied
+
+    @property
+    def marks(self) -> Array:
+        """(4 * places, 3) mm."""
+        half = self.side / 2
+        square = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
+        if self.upwards:
+            square[:, 1] *= -1
+        corners = []
+        for place in self.places:
+            turn = place.turn + self.quarters * np.pi / 2
+            c, s = np.cos(turn), np.sin(turn)
+            corners.append(square @ np.array([[c, s], [-s, c]]) + self.spread * np.array([place.x, place.y]))
+        flat = np.concatenate(corners)
+        return np.column_stack([flat, np.zeros(len(flat))])
+
+
+Target: TypeAlias = SpotGrid | Chessboard | Charuco | CircleGrid | MarkerBoard
 
 _SYMMETRIES: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
     "a turn by 90 degrees": ((0, -1), (1, 0)),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from calibration.errors import CalibrationError
 from calibration.geometry import Array, Pose
 from calibration.rays import PlaneMarks, fit_plane_map, polynomial
-from calibration.targets import Charuco, Chessboard, SpotGrid
+from calibration.targets import Charuco, Chessboard, CircleGrid, MarkerBoard, SpotGrid
 from ranging.background import Image
 from scope.session import CalibrationPlan, ListedMarks, PlanePlan, mean_gray, read_alike
 
@@ -50,6 +50,7 @@ class _Found:
     blur: Array | None = None
     saturated: Array | None = None
     mirrored: bool = False
+    points: Array | None = None  # (m, 3) mm, of all marks, where the view tells how the target's frame lies
 
 
 def measure_plane(plan: CalibrationPlan, plane: PlanePlan) -> MeasuredPlane:
@@ -69,7 +70,7 @@ def measure_plane(plan: CalibrationPlan, plane: PlanePlan) -> MeasuredPlane:
         found = _find(plan, plane, mean)
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: plane {plane.name}: {error}") from error
-    points, pose, expected = _positions(plan, plane, found.mark)
+    points, pose, expected = _positions(plan, plane, found)
     marks = PlaneMarks(plane.name, found.pixels, points, pose, found.mark, found.covariance)
     try:
         marks, shift = _centred(marks, _radii(plan, marks, found))
@@ -92,7 +93,9 @@ def _find(plan: CalibrationPlan, plane: PlanePlan, image: Image) -> _Found:
         return _find_listed(plan, plane.listed, image)
     if isinstance(plan.target, SpotGrid):
         return _find_grid(plan.target, plane, image)
-    if isinstance(plan.target, Chessboard | Charuco):
+    if isinstance(plan.target, CircleGrid):
+        return _find_circles(plan.target, image)
+    if isinstance(plan.target, Chessboard | Charuco | MarkerBoard):
         return _find_board(plan.target, image)
     raise ValueError("a plane without listed marks needs a target")
 
@@ -133,25 +136,50 @@ def _find_listed(plan: CalibrationPlan, listed: ListedMarks, image: Image) -> _F
     )  # fmt: skip
 
 
-def _find_board(target: Chessboard | Charuco, image: Image) -> _Found:
-    from calibration.targets import find_charuco, find_chessboard
+def _find_board(target: Chessboard | Charuco | MarkerBoard, image: Image) -> _Found:
+    from calibration.targets import find_charuco, find_chessboard, find_markers, upright
 
-    corners = find_chessboard(image, target) if isinstance(target, Chessboard) else find_charuco(image, target)
+    everything = None
+    if isinstance(target, MarkerBoard):
+        corners = find_markers(image, target)
+        everything = upright(target, corners).marks
+    else:
+        corners = find_chessboard(image, target) if isinstance(target, Chessboard) else find_charuco(image, target)
     unknown = np.full((len(corners.pixels), 2, 2), np.nan)
-    return _Found(corners.pixels, unknown, corners.mark, len(corners.pixels))
+    return _Found(corners.pixels, unknown, corners.mark, len(corners.pixels), points=everything)
 
 
-def _positions(plan: CalibrationPlan, plane: PlanePlan, mark: NDArray[np.int64]) -> tuple[Array, Pose, int]:
+def _find_circles(target: CircleGrid, image: Image) -> _Found:
+    from calibration.targets import find_circles, measure_marks
+
+    rough = find_circles(image, target)
+    marks = measure_marks(image, rough.pixels, polarity=target.polarity)
+    known = marks.measured
+    if known.sum() < 0.5 * len(known):  # too small or too blurred for an edge to be fitted: OpenCV's own centres
+        unknown = np.full((len(known), 2, 2), np.nan)
+        return _Found(rough.pixels, unknown, rough.mark, len(known))
+    rejected = tuple(
+        (float(u), float(v), reason) for (u, v), reason in zip(rough.pixels, marks.reason, strict=True) if reason
+    )
+    return _Found(
+        marks.centroids[known], marks.covariance[known], rough.mark[known], len(known), rejected, marks.diameter[known],
+        marks.contrast[known], marks.blur[known], marks.saturated[known],
+    )  # fmt: skip
+
+
+def _positions(plan: CalibrationPlan, plane: PlanePlan, found: _Found) -> tuple[Array, Pose, int]:
     """Plane coordinates (n, 2) of the marks, the pose of that plane in C, and how many marks there are in all."""
     if plane.listed is not None:
         everything = plane.listed.points
+    elif found.points is not None:
+        everything = found.points
     elif plan.target is not None:
         everything = plan.target.marks
     else:
         raise ValueError("a plane without listed marks needs a target")
     pose = plane.c_from_target or Pose.identity()
     own, c_from_plane = _flatten(everything, pose, plane.name, plan)
-    return own[mark], c_from_plane, len(everything)
+    return own[found.mark], c_from_plane, len(everything)
 
 
 def _flatten(points: Array, pose: Pose, name: str, plan: CalibrationPlan) -> tuple[Array, Pose]:
@@ -185,6 +213,8 @@ def _radii(plan: CalibrationPlan, marks: PlaneMarks, found: _Found) -> Array | N
     """Radii (n,) mm of round marks: of the target where it is a grid of spots, else as measured; None for corners."""
     target = plan.target
     if isinstance(target, SpotGrid):
+        if target.diameter is None:
+            return None if found.diameter is None else _measured_radii(marks, found.diameter)
         radii = np.full(len(marks), target.diameter / 2)
         large = [row * target.columns + column for row, column in target.fiducials]
         radii[np.isin(marks.mark, large)] = (target.fiducial_diameter or target.diameter) / 2

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -13,13 +14,14 @@ import numpy as np
 from calibration.errors import CalibrationError, FileError
 from calibration.rays import FreehandFit, Order, PlaneMarks, TwoPlaneFit, fit_freehand, fit_two_plane, locate_target
 from calibration.rig import AnyCamera, Rig, sha256_of
-from calibration.sheet import Laser
 from calibration.stages import Stage
-from scope.calibrating.lasers import LaserView, find_lasers
+from scope.calibrating.channels import Choice
+from scope.calibrating.lasers import FoundLasers, LaserView, find_lasers
+from scope.calibrating.left_out import LeftOut, small
 from scope.calibrating.marks import MeasuredPlane, measure_plane
 from scope.calibrating.stages import find_stages
-from scope.calibrating.verdict import Dropped, Verdict, judge_freehand, judge_jig
-from scope.session import CalibrationPlan, CalibrationSession, plan_of, read_calibration
+from scope.calibrating.verdict import Verdict, judge_freehand, judge_jig
+from scope.session import CalibrationPlan, CalibrationSession, PlanePlan, gray, plan_of, read_calibration, read_image
 from scope.version import __version__
 
 Model = Literal["auto", "two-plane", "joint", "pinhole"]
@@ -37,6 +39,8 @@ class Calibration:
     freehand: FreehandFit | None
     views: tuple[LaserView, ...]
     verdict: Verdict
+    left_out: tuple[LeftOut, ...] = ()
+    choices: Mapping[str, Choice] = field(default_factory=dict)  # by laser: why its channel was taken
 
     @property
     def result(self) -> dict[str, Any]:
@@ -97,22 +101,21 @@ def calibrate(
     """
     plan = plan_of(path) if isinstance(path, CalibrationSession) else read_calibration(Path(path))
     _check_model(plan, model)
-    on_jig = any(plane.c_from_target is not None for plane in plan.planes)
     seen: list[MeasuredPlane] = []
-    dropped: list[Dropped] = []  # views by hand: the others may do without them
+    left_out: list[LeftOut] = []  # views by hand: the others may do without them
     for k, plane in enumerate(plan.planes):
         try:
             seen.append(measure_plane(plan, plane))
-        except CalibrationError as error:
-            if on_jig:
+        except (CalibrationError, FileError) as error:
+            if plane.c_from_target is not None or (isinstance(error, FileError) and plane.name not in plan.globbed):
                 raise
-            dropped.append((plane.name, str(error).removeprefix(f"{plan.path}: plane {plane.name}: ")))
+            left_out.append(_view_left_out(plan, plane, error))
         on_plane(k + 1, len(plan.planes))
-    size = _one_size(plan, seen) if seen else (0, 0)
+    seen, odd = _one_size(plan, seen)
     jig = [s.marks for s in seen if s.plan.c_from_target is not None]
     if jig:
-        return _finish_jig(plan, seen, jig, size, model, order)
-    return _finish_freehand(plan, seen, dropped, size)
+        return _finish_jig(plan, seen, jig, model, order, [*left_out, *odd])
+    return _finish_freehand(plan, seen, [*left_out, *odd])
 
 
 def _check_model(plan: CalibrationPlan, model: Model) -> None:
@@ -130,67 +133,98 @@ def _check_model(plan: CalibrationPlan, model: Model) -> None:
         )
 
 
-def _one_size(plan: CalibrationPlan, seen: list[MeasuredPlane]) -> tuple[int, int]:
-    for other in seen[1:]:
-        if other.size != seen[0].size:
+def _view_left_out(plan: CalibrationPlan, plane: PlanePlan, error: Exception) -> LeftOut:
+    reason = (
+        str(error)
+        .removeprefix(f"{plan.path}: ")
+        .removeprefix(f"plane {plane.name}: ")
+        .removeprefix(f"view {plane.name}: ")
+    )
+    try:
+        picture = small(read_image(plane.images[0]))[0]
+    except FileError:
+        picture = None
+    return LeftOut("view", plane.name, reason, image=picture)
+
+
+def _one_size(plan: CalibrationPlan, seen: list[MeasuredPlane]) -> tuple[list[MeasuredPlane], list[LeftOut]]:
+    """Planes whose images have the size that most have. Of [[views]] others are left out; of planes they are refused."""
+    if not seen:
+        return [], []
+    usual = Counter(s.size for s in seen).most_common(1)[0][0]
+    kept: list[MeasuredPlane] = []
+    odd: list[LeftOut] = []
+    for other in seen:
+        if other.size == usual:
+            kept.append(other)
+        elif other.plan.name in plan.globbed:
+            told = f"its image is {other.size[0]} x {other.size[1]} px, others are {usual[0]} x {usual[1]} px"
+            odd.append(LeftOut("view", other.plan.name, told, image=small(gray(other.image))[0]))
+        else:
+            first = next(s for s in seen if s.size != other.size)
             raise FileError(
                 f"{plan.path}: plane {other.plan.name} has images of {other.size[0]} x {other.size[1]} px and plane "
-                f"{seen[0].plan.name} of {seen[0].size[0]} x {seen[0].size[1]} px; one camera setting is needed for all"
+                f"{first.plan.name} of {first.size[0]} x {first.size[1]} px; one camera setting is needed for all"
             )
-    return seen[0].size
+    return kept, odd
 
 
 def _finish_jig(
     plan: CalibrationPlan,
     seen: list[MeasuredPlane],
     jig: list[PlaneMarks],
-    size: tuple[int, int],
     model: Model,
     order: Order,
+    left_out: list[LeftOut],
 ) -> Calibration:
     try:
-        fit = fit_two_plane(jig, size, order=order, model="two-plane" if model == "two-plane" else "joint")
+        fit = fit_two_plane(jig, seen[0].size, order=order, model="two-plane" if model == "two-plane" else "joint")
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
     placed = {marks.name: marks for marks in fit.marks}
-    planes = [(s.plan, placed.get(s.plan.name) or _located(plan, fit.camera, s)) for s in seen]
-    lasers, views = find_lasers(plan, fit.camera, planes, curved=None)
-    stages = find_stages(plan, fit.camera)
-    verdict = judge_jig(plan, seen, fit, lasers, stages)
-    return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, fit, None)
+    planes = []
+    for s in seen:
+        try:
+            planes.append((s.plan, placed.get(s.plan.name) or locate_target(fit.camera, s.marks)))
+        except CalibrationError as error:
+            left_out.append(_view_left_out(plan, s.plan, error))
+    found = find_lasers(plan, fit.camera, planes, curved=None)
+    stages = find_stages(plan, fit.camera, found.lasers)
+    left_out += [*found.left_out, *stages.left_out]
+    verdict = judge_jig(plan, seen, fit, found.lasers, stages, left_out)
+    return _calibration(plan, seen, fit.camera, found, stages.stages, verdict, fit, None, left_out)
 
 
-def _located(plan: CalibrationPlan, camera: AnyCamera, seen: MeasuredPlane) -> PlaneMarks:
+def _finish_freehand(plan: CalibrationPlan, seen: list[MeasuredPlane], left_out: list[LeftOut]) -> Calibration:
+    size = seen[0].size if seen else (0, 0)
     try:
-        return locate_target(camera, seen.marks)
+        fit = fit_freehand([s.marks for s in seen], size, dropped=[(each.name, each.reason) for each in left_out])
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
-
-
-def _finish_freehand(
-    plan: CalibrationPlan, seen: list[MeasuredPlane], dropped: list[Dropped], size: tuple[int, int]
-) -> Calibration:
-    try:
-        fit = fit_freehand([s.marks for s in seen], size, dropped=dropped)
-    except CalibrationError as error:
-        raise CalibrationError(f"{plan.path}: {error}") from error
+    before, of = {each.name for each in left_out}, {s.plan.name: s for s in seen}
+    left_out += [
+        LeftOut("view", name, reason, image=small(gray(of[name].image))[0])
+        for name, reason in fit.dropped
+        if name not in before
+    ]
     placed = {view.name: view for view in fit.views}
     planes = [(s.plan, placed[s.plan.name]) for s in seen if s.plan.name in placed]
-    lasers, views = find_lasers(plan, fit.camera, planes, curved=False)
-    stages = find_stages(plan, fit.camera)
-    verdict = judge_freehand(plan, seen, fit, lasers, stages)
-    return _calibration(plan, seen, fit.camera, lasers, views, stages, verdict, None, fit)
+    found = find_lasers(plan, fit.camera, planes, curved=False)
+    stages = find_stages(plan, fit.camera, found.lasers)
+    left_out += [*found.left_out, *stages.left_out]
+    verdict = judge_freehand(plan, seen, fit, found.lasers, stages, left_out)
+    return _calibration(plan, seen, fit.camera, found, stages.stages, verdict, None, fit, left_out)
 
 
 def _calibration(
-    plan: CalibrationPlan, seen: list[MeasuredPlane], camera: AnyCamera, lasers: dict[str, Laser], views: tuple[LaserView, ...],
-    stages: tuple[Stage, ...], verdict: Verdict, two_plane: TwoPlaneFit | None, freehand: FreehandFit | None,
+    plan: CalibrationPlan, seen: list[MeasuredPlane], camera: AnyCamera, found: FoundLasers, stages: tuple[Stage, ...],
+    verdict: Verdict, two_plane: TwoPlaneFit | None, freehand: FreehandFit | None, left_out: list[LeftOut],
 ) -> Calibration:  # fmt: skip
     folder = plan.path.parent.resolve()
     blur = [s.blur_px for s in seen if np.isfinite(s.blur_px)]
     rig = Rig(
         camera=camera,
-        lasers=lasers,
+        lasers=found.lasers,
         stages=stages,
         verification=verdict.verification,
         accept=plan.accept,
@@ -200,7 +234,9 @@ def _calibration(
         software=f"scope {__version__}",
         inputs={_relative(path, folder): sha256_of(path) for path in plan.files},
     )
-    return Calibration(rig, plan, tuple(seen), two_plane, freehand, views, verdict)
+    return Calibration(
+        rig, plan, tuple(seen), two_plane, freehand, found.views, verdict, tuple(left_out), found.choices
+    )
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +26,11 @@ from calibration.verification import (
     intraplane,
     leave_views_out,
 )
+from scope.calibrating.left_out import LeftOut
 from scope.calibrating.marks import MeasuredPlane
+from scope.calibrating.stages import FoundStages
 from scope.session import CalibrationPlan
 
-Dropped: TypeAlias = tuple[str, str]  # a view held by hand that was left out, and why
 NAN = float("nan")
 ADVICE = (
     "an error that is affine (all stand-offs or the pitch wrong by one factor) is invisible to planes: check a known "
@@ -52,7 +54,8 @@ def judge_jig(
     seen: list[MeasuredPlane],
     fit: TwoPlaneFit,
     lasers: dict[str, Laser],
-    stages: tuple[Stage, ...],
+    stages: FoundStages,
+    left_out: Sequence[LeftOut] = (),
 ) -> Verdict:
     """Judge a calibration on known stand-offs: faults, held-out planes, and the limits of [accept]."""
     held = held_out(fit, model=fit.camera.model)
@@ -90,7 +93,9 @@ def judge_jig(
             "placement": inside.split.placement_px,
             "random": inside.split.random_px,
         },
-        "stages": [stage_content(stage) for stage in stages],
+        "dropped": [each.content for each in left_out],
+        "stages": [stage_content(stage) for stage in stages.stages],
+        "warnings": list(stages.warnings),
     }
     verdict = _verdict(
         plan, seen, rows, lasers, agreement.interplane_px, faults, ray_mm, content, planes=len(fit.marks)
@@ -103,7 +108,8 @@ def judge_freehand(
     seen: list[MeasuredPlane],
     fit: FreehandFit,
     lasers: dict[str, Laser],
-    stages: tuple[Stage, ...],
+    stages: FoundStages,
+    left_out: Sequence[LeftOut] = (),
 ) -> Verdict:
     """Judge a calibration from views held by hand: each view against the camera of the others."""
     held = leave_views_out(fit)
@@ -122,8 +128,9 @@ def judge_freehand(
         "model": "pinhole",
         "ray_mm": ray_mm,
         "fit_px": fit.fit_px,
-        "dropped": [{"name": name, "reason": reason} for name, reason in fit.dropped],
-        "stages": [stage_content(stage) for stage in stages],
+        "dropped": [each.content for each in left_out],
+        "stages": [stage_content(stage) for stage in stages.stages],
+        "warnings": list(stages.warnings),
     }
     verdict = _verdict(plan, seen, rows, lasers, NAN, _moved(seen), ray_mm, content, planes=0)
     return Verdict(verdict.verification, verdict.content, held_out=held)
@@ -291,6 +298,7 @@ def laser_content(laser: Laser) -> dict[str, Any]:
         "rms_mm": laser.rms_mm,
         "loo_mm": laser.loo_mm,
         "n": laser.n,
+        "views": len(laser.planes),
         "flatness_mm": laser.flatness_mm,
         "flatness_sigma_mm": laser.flatness_sigma,
         "curved": len(laser.covariance) > 3,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
+from calibration.grouping import grouped
 from calibration.rays import TwoPlaneFit, normal_equations, ray_uncertainty
 from calibration.verification import block_image
 from scope.calibrating import Calibration, MeasuredPlane
@@ -32,8 +33,41 @@ def calibration_text(found: Calibration) -> str:
             f"flat to {number(laser['flatness_mm'])} mm{' (curved sheet used)' if laser['curved'] else ''}"
         )
     lines += [_stage_text(stage) for stage in result["stages"]]
-    lines += [f"left out: view {view['name']}: {view['reason']}" for view in result.get("dropped", [])]
+    lines += left_out_lines(found)
+    lines += [f"warning: {text}" for text in result["warnings"]]
     return "\n".join(lines)
+
+
+def left_out_lines(found: Calibration) -> list[str]:
+    """What was left out, counted by reason with one example each."""
+    lines = []
+    for part, what, total in _PARTS:
+        told = [(each.name, each.reason) for each in found.left_out if each.part == part]
+        if told:
+            lines.append(f"left out: {grouped(told, total(found), what)}")
+    return lines
+
+
+_PARTS: tuple[tuple[str, str, Callable[[Calibration], int]], ...] = (
+    ("view", "views", lambda found: len(found.plan.planes)),
+    ("laser", "laser images", lambda found: sum(len(plane.lasers) for plane in found.plan.planes)),
+    ("mark", "marks", lambda found: sum(seen.expected for seen in found.measured)),
+)
+
+
+def _add_left_out(page: Page, found: Calibration) -> None:
+    if not found.left_out:
+        return
+    page.heading("Left out")
+    for line in left_out_lines(found):
+        page.text(line.removeprefix("left out: ") + ".")
+    page.table(("what", "view", "count", "why"),
+               [[each.part, each.name, str(each.count), each.reason] for each in found.left_out])  # fmt: skip
+    for each in found.left_out[:_PICTURES]:
+        if each.image is None:
+            continue
+        light = np.zeros((0, 2)) if each.pixels is None else each.pixels
+        page.image(pictures.with_stripe(each.image, light), f"{each.part} {each.name}: {each.reason}", width=320)
 
 
 def _stage_text(stage: dict[str, Any]) -> str:
@@ -44,9 +78,15 @@ def _stage_text(stage: dict[str, Any]) -> str:
     if stage["kind"] == "linear":
         return f"linear stage: direction ({way}) {error}; it travels {stage['scale']:.5f} of what is stated"
     at = ", ".join(f"{x:.3f}" for x in stage["point"])
-    return f"turntable: axis ({way}) through ({at}) {error}"
+    scaled = (
+        ""
+        if stage["scale"] == 1
+        else f"; put to the laser's scale, {stage['scale']:.4f} of what its target's lengths say"
+    )
+    return f"turntable: axis ({way}) through ({at}) {error}{scaled}"
 
 
+_PICTURES = 24  # of what was left out
 _PLANE_HEADERS = ("plane", "found", "used", "repeat px", "fit px", "left-out px", "left-out mm", "held-out mm")
 
 
@@ -111,6 +151,8 @@ def calibration_page(found: Calibration) -> str:
         page.verdict("good", f"Passed: {result['why']}.")
     else:
         page.verdict("bad", f"Not passed: {result['why']}.")
+    for text in result["warnings"]:
+        page.text(f"Warning: {text}.")
     page.heading("Figures")
     page.table(_PLANE_HEADERS, _plane_rows(result["planes"]))
     page.table(("figure", "here", "good", "if it is not"), _judged(found))
@@ -125,6 +167,7 @@ def calibration_page(found: Calibration) -> str:
         page.heading("Stages")
         for stage in result["stages"]:
             page.text(_stage_text(stage) + ".")
+    _add_left_out(page, found)
     page.heading("Marks")
     for seen in found.measured:
         _add_marks(page, seen)
@@ -284,6 +327,7 @@ def _add_lasers(page: Page, found: Calibration) -> None:
             f"Sheet: normal ({normal}), offset {laser['offset']:.4f} mm; rms {laser['rms_mm']:.4f} mm over {laser['n']} points. "
             f"Quadratic part {laser['flatness_mm']:.4f} +- {number(laser['flatness_sigma_mm'])} mm peak to valley: {shape}."
         )
+        _add_channel(page, found, name)
         page.table(("plane", "points", "rms, mm", "left out, mm"),
                    [[p["name"], str(p["n"]), number(p["rms_mm"]), number(p["loo_mm"])] for p in laser["planes"]])  # fmt: skip
         views = [view for view in found.views if view.laser == name]
@@ -293,6 +337,18 @@ def _add_lasers(page: Page, found: Calibration) -> None:
                 f"stripe on {view.plane}: {len(view.pixels)} points",
                 width=430,
             )
+
+
+def _add_channel(page: Page, found: Calibration, name: str) -> None:
+    """Why the channel was taken."""
+    choice = found.choices.get(name)
+    if choice is None or not choice.errors:
+        return
+    told = ", ".join(
+        f"{channel} {error:.4f}" if np.isfinite(error) else f"{channel}: no stripe"
+        for channel, error in sorted(choice.errors.items(), key=lambda item: item[1])
+    )
+    page.text(f"Read in {choice.channel}. Predicted error of a stripe over all its lines, px: {told}.")
 
 
 def _add_marks(page: Page, seen: MeasuredPlane) -> None:

@@ -14,7 +14,7 @@ from calibration.rig import Rig
 from calibration.sheet import Laser
 from ranging.background import Channel, Image, choose_channel, clipping_level, mean_image, to_gray
 from ranging.motion import Linear, Motion, Turntable
-from ranging.stripe import Stripe, StripeOptions
+from ranging.stripe import Stripe, StripeOptions, best_channel
 from scope.scanning.options import ScanOptions
 from scope.scanning.setup import Asked, ScanSetup, require_size
 from scope.scanning.stripes import find_stripes
@@ -102,7 +102,13 @@ def channel_of(asked: Asked, laser: Laser, sample: Sequence[Image]) -> Channel:
     channel = asked.channel if asked.channel != "auto" else laser.channel.partition("-")[0]
     if asked.channel == "auto" and channel == "gray":  # calibrated without colours, which says nothing of these images
         channel = "auto"
-    return choose_channel(sample, channel, laser_off=asked.laser_off) if sample else channel  # type: ignore[arg-type, return-value]
+    if not sample:
+        return channel  # type: ignore[return-value]
+    usual = choose_channel(sample, channel, laser_off=asked.laser_off)  # type: ignore[arg-type]
+    if asked.laser_off or channel.endswith("-excess") or channel == "gray":
+        return usual
+    others = ("gray", "red", "green", "blue") if channel == "auto" else (channel,)
+    return best_channel(sample, usual, others, along="rows" if laser.along == "rows" else "columns")  # type: ignore[arg-type]
 
 
 def separated_by_colour(asked: Asked, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import glob
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, Strict, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array, Pose
-from calibration.targets import Charuco, Chessboard, Polarity, SpotGrid
+from calibration.targets import Polarity, Target
 from scope.session.images import Stored
+from scope.session.target_section import PlaceSection, Plate, TargetSection, plate_of, polarity_of, target_of
 from scope.session.toml_file import (
     MM,
     Flag,
@@ -33,61 +36,14 @@ _LEAST_MARKS = 4  # from which a plane follows
 _MOST_MARKS = 100_000
 
 
-def _pair(value: Any) -> Any:
-    return (value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
-
-
 def _list(value: Any) -> Any:
     return [value] if isinstance(value, str) else value
 
 
-Index = Annotated[int, Strict(), Field(ge=0, le=1000)]
-Count = Annotated[int, Strict(), Field(ge=2, le=1000)]
 Along = Literal["auto", "rows", "columns"]
-Channel = Literal["auto", "red", "green", "blue", "gray"]
+Channel = Literal["auto", "red", "green", "blue", "gray", "red-excess", "green-excess", "blue-excess"]
 Images = Annotated[list[str], BeforeValidator(_list), Field(min_length=1)]
 ByLaser = str | dict[str, str]
-
-
-class TargetSection(Section):
-    """[target]: the marks."""
-
-    kind: Literal["spots", "chessboard", "charuco", "listed"]
-    polarity: Polarity = "light"
-    rows: Count | None = None
-    columns: Count | None = None
-    pitch: Annotated[tuple[Positive, Positive] | None, BeforeValidator(_pair)] = None
-    diameter: Positive | None = None
-    fiducials: list[tuple[Index, Index]] = []
-    fiducial_diameter: Positive | None = None
-    dictionary: str = "DICT_5X5_100"
-    marker: Positive | None = None
-    legacy: Flag = False
-
-    @model_validator(mode="after")
-    def _complete(self) -> TargetSection:
-        if self.kind == "listed":
-            return self
-        need = {"spots": ("rows", "columns", "pitch", "diameter"), "chessboard": ("rows", "columns", "pitch")}
-        for key in need.get(self.kind, ("rows", "columns", "pitch", "marker")):
-            if getattr(self, key) is None:
-                raise ValueError(f"{key} is missing; kind = {self.kind!r} needs it")
-        if self.fiducials and self.fiducial_diameter is None:
-            raise ValueError("fiducial_diameter is missing; fiducials need it")
-        for row, column in self.fiducials:
-            if row >= (self.rows or 0) or column >= (self.columns or 0):
-                raise ValueError(
-                    f"fiducial [{row}, {column}] is outside the grid of {self.rows} rows, {self.columns} columns"
-                )
-        if self.diameter and self.pitch and self.diameter >= min(self.pitch):
-            raise ValueError(
-                f"diameter {self.diameter} is not less than the pitch {min(self.pitch)}; spots would touch"
-            )
-        if self.fiducial_diameter and self.diameter and self.fiducial_diameter <= 1.1 * self.diameter:
-            raise ValueError(
-                f"fiducial_diameter {self.fiducial_diameter} must exceed diameter {self.diameter} by more than 10 %"
-            )
-        return self
 
 
 class AcceptSection(Section):
@@ -120,12 +76,34 @@ class PlaneSection(Section):
     turned: Literal[0, 90, 180, 270] = 0
 
 
+class ViewsSection(Section):
+    """[[views]]: many views by hand at once, each image a pose of its own."""
+
+    images: Images
+    laser: ByLaser | None = None
+    background: ByLaser | None = None
+
+
 class StageSection(Section):
     """[[stage]]: the target carried by the stage."""
 
     kind: Literal["linear", "turntable"]
     images: Images
     positions: list[Number] = Field(min_length=2)
+    target: TargetSection | None = None
+    dictionary: str | None = None
+    marker: Positive | None = None
+    places: list[PlaceSection] = []
+
+    @model_validator(mode="after")
+    def _one_target(self) -> StageSection:
+        if self.target is not None and self.target.kind == "listed":
+            raise ValueError(
+                "a stage's target cannot be 'listed'; it needs marks that are found: spots, a board or markers"
+            )
+        if bool(self.places) != (self.marker is not None):
+            raise ValueError("marker (their side) and places are needed both where the stage carries markers")
+        return self
 
 
 class CalibrationSection(Section):
@@ -137,8 +115,21 @@ class CalibrationSection(Section):
     target: TargetSection
     accept: AcceptSection = AcceptSection()
     laser: dict[str, Any] = {}
-    plane: list[PlaneSection] = Field(min_length=1)
+    plane: list[PlaneSection] = []
+    views: list[ViewsSection] = []
     stage: list[StageSection] = []
+
+    @model_validator(mode="after")
+    def _some(self) -> CalibrationSection:
+        if not self.plane and not self.views:
+            raise ValueError(
+                "no [[plane]] and no [[views]]; add one table for each pose of the target, or a glob of views"
+            )
+        if self.views and self.target.kind == "listed":
+            raise ValueError(
+                "[[views]] cannot have listed marks, which belong to single planes; write [[plane]] tables"
+            )
+        return self
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,6 +172,7 @@ class StagePlan:
     kind: Literal["linear", "turntable"]
     images: tuple[Path, ...]
     positions: Array  # (n,) mm or degrees
+    target: Target | None  # that it carries
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,12 +181,14 @@ class CalibrationPlan:
 
     path: Path
     camera_id: str
-    target: SpotGrid | Chessboard | Charuco | None  # None: listed
+    target: Target | None  # None: listed
     polarity: Polarity
     accept: dict[str, float]  # limits given: ray_mm, laser_mm, repeat_px
     lasers: tuple[LaserPlan, ...]
     planes: tuple[PlanePlan, ...]
     stages: tuple[StagePlan, ...]
+    plate: Plate = "auto"  # where the target's plane reaches beyond its marks
+    globbed: frozenset[str] = frozenset()  # names of the planes that a glob of [[views]] brought
 
     @property
     def files(self) -> list[Path]:
@@ -216,21 +210,18 @@ def read_calibration(path: Path, *, only: str | None = None) -> CalibrationPlan:
     With ``only``, the plane of that name alone, without its lasers: what is judged at the jig needs no other image.
     """
     raw = read_toml(path, CalibrationSection)
+    tables = len(raw.plane)
+    raw = with_views(path, raw, lasers=only is None)
     if only is not None:
         raw = _alone(path, raw, only)
     mm = MM[raw.units]
     lasers = _lasers(path, raw, mm)
     names = [laser.name for laser in lasers]
-    planes = tuple(_plane(path, section, names, mm) for section in raw.plane)
-    seen: set[str] = set()
-    for plane in planes:
-        if plane.name in seen:
-            raise FileError(f"{path}: two planes are called {plane.name!r}; give each a name of its own")
-        seen.add(plane.name)
-    stages = tuple(_stage(path, section, mm) for section in raw.stage)
+    planes = _distinct(path, [_plane(path, section, names, mm) for section in raw.plane], raw.plane)
+    stages = tuple(_stage(path, section, raw.target, mm) for section in raw.stage)
     limits = {key: value for key, value in raw.accept if value is not None}  # their names say their units
     try:
-        target = _target(raw.target, mm)
+        target = target_of(raw.target, mm)
     except CalibrationError as error:
         raise FileError(f"{path}: {error}") from error
     if target is None:
@@ -239,7 +230,43 @@ def read_calibration(path: Path, *, only: str | None = None) -> CalibrationPlan:
                 raise FileError(
                     f"{path}: plane {plane.name}: target.kind is 'listed' and `points` is missing; name its CSV"
                 )
-    return CalibrationPlan(path, raw.camera_id, target, raw.target.polarity, limits, lasers, planes, stages)
+    return CalibrationPlan(path, raw.camera_id, target, polarity_of(raw.target), limits, lasers, planes, stages,
+                           plate_of(raw.target, mm), frozenset(p.name for p in planes[tables:]))  # fmt: skip
+
+
+def with_views(path: Path, raw: CalibrationSection, *, lasers: bool) -> CalibrationSection:
+    """The file with every image of its [[views]] as a [[plane]] of its own, called by its folder and stem."""
+    planes = list(raw.plane)
+    for section in raw.views:
+        images = _images(path, section.images, "views.images")
+        lit = _spread(path, "laser", section.laser if lasers else None, images)
+        dark = _spread(path, "background", section.background if lasers else None, images)
+        planes += [
+            PlaneSection(name=f"{image.parent.name}/{image.stem}", images=[_literal(image)], laser=on, background=off)
+            for image, on, off in zip(images, lit, dark, strict=True)
+        ]
+    return raw.model_copy(update={"plane": planes, "views": []})
+
+
+def _spread(path: Path, key: str, value: ByLaser | None, images: tuple[Path, ...]) -> list[ByLaser | None]:
+    """What each view has for ``key``: its own image where that is "same", else the one of its rank among the files matched."""
+    if value is None:
+        return [None] * len(images)
+    if isinstance(value, dict):
+        each = {name: _spread(path, f"{key}.{name}", pattern, images) for name, pattern in value.items()}
+        return [{name: str(files[k]) for name, files in each.items()} for k in range(len(images))]
+    files = images if value == "same" else tuple(matching(path.parent, value, owner=path, key=f"views.{key}"))
+    if len(files) != len(images):
+        raise FileError(
+            f"{path}: views.{key}: {len(files)} files match {value!r} for {len(images)} views; one for each is needed, "
+            'in the same order, or "same"'
+        )
+    return [_literal(file) for file in files]
+
+
+def _literal(file: Path) -> str:
+    """A pattern that matches this file only, wherever it is asked from."""
+    return glob.escape(str(file.absolute()))
 
 
 def _alone(path: Path, raw: CalibrationSection, name: str) -> CalibrationSection:
@@ -260,22 +287,21 @@ def _alone(path: Path, raw: CalibrationSection, name: str) -> CalibrationSection
     return raw.model_copy(update={"plane": [one], "stage": []})
 
 
-def _target(section: TargetSection, mm: float) -> SpotGrid | Chessboard | Charuco | None:
-    if section.kind == "listed" or section.rows is None or section.columns is None or section.pitch is None:
-        return None
-    pitch = (section.pitch[0] * mm, section.pitch[1] * mm)
-    if section.kind == "chessboard":
-        return Chessboard(section.rows, section.columns, pitch)
-    if section.kind == "charuco":
-        return Charuco(
-            section.rows, section.columns, pitch, (section.marker or 0.0) * mm, section.dictionary, section.legacy
-        )
-    grid = SpotGrid(
-        section.rows, section.columns, pitch, (section.diameter or 0.0) * mm, section.polarity,
-        tuple(section.fiducials), None if section.fiducial_diameter is None else section.fiducial_diameter * mm,
-    )  # fmt: skip
-    grid.check_fiducials()
-    return grid
+def _distinct(path: Path, planes: list[PlanePlan], sections: list[PlaneSection]) -> tuple[PlanePlan, ...]:
+    """Planes whose names differ: of those without a name of their own, equal stems are told apart by their folders."""
+    stems = Counter(plane.name for plane in planes)
+    told = [
+        replace(plane, name=f"{Path(str(plane.images[0])).parent.name}/{plane.name}")
+        if section.name is None and stems[plane.name] > 1
+        else plane
+        for plane, section in zip(planes, sections, strict=True)
+    ]
+    seen: set[str] = set()
+    for plane in told:
+        if plane.name in seen:
+            raise FileError(f"{path}: two planes are called {plane.name!r}; give each a name of its own")
+        seen.add(plane.name)
+    return tuple(told)
 
 
 def _lasers(path: Path, raw: CalibrationSection, mm: float) -> tuple[LaserPlan, ...]:
@@ -347,11 +373,25 @@ def _listed(path: Path, refine: bool, mm: float) -> ListedMarks:
     return ListedMarks(path, points, np.stack([values["u"], values["v"]], axis=1), refine)
 
 
-def _stage(path: Path, section: StageSection, mm: float) -> StagePlan:
+def _stage(path: Path, section: StageSection, usual: TargetSection, mm: float) -> StagePlan:
     images = _images(path, section.images, "stage.images")
     if len(images) != len(section.positions):
         raise FileError(
             f"{path}: stage: {len(images)} images and {len(section.positions)} positions; one position an image is needed"
         )
     scale = mm if section.kind == "linear" else 1.0
-    return StagePlan(section.kind, images, np.array(section.positions) * scale)
+    try:
+        target = target_of(_carried(section, usual), mm)
+    except CalibrationError as error:
+        raise FileError(f"{path}: stage.target: {error}") from error
+    return StagePlan(section.kind, images, np.array(section.positions) * scale, target)
+
+
+def _carried(section: StageSection, usual: TargetSection) -> TargetSection:
+    """The target of a stage: its own, markers named by the stage or beside the file's target, or the file's target."""
+    if section.target is not None:
+        return section.target
+    own = section if section.places else usual
+    if not own.places:
+        return usual
+    return TargetSection(kind="markers", dictionary=own.dictionary, marker=own.marker, places=own.places)

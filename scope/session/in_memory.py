@@ -11,10 +11,11 @@ import numpy as np
 
 from calibration.errors import CalibrationError
 from calibration.geometry import Array, Pose
-from calibration.targets import Charuco, Chessboard, SpotGrid
+from calibration.targets import Polarity, SpotGrid, Target
 from ranging.background import Image
 from scope.session.calibration_file import Along, CalibrationPlan, Channel, LaserPlan, PlanePlan
 from scope.session.images import ImageInMemory
+from scope.session.target_section import Plate
 
 Images = Sequence[Image]
 ByLaser = Images | Mapping[str, Images]
@@ -41,12 +42,13 @@ class PlaneView:
 class CalibrationSession:
     """A target, the places where it was seen, and what must be reached: what calibration.toml says, from arrays."""
 
-    target: SpotGrid | Chessboard | Charuco
+    target: Target
     planes: Sequence[PlaneView]
     accept: Mapping[str, float] = field(default_factory=dict)  # limits: ray_mm, laser_mm, repeat_px
     camera_id: str = ""
     along: Along = "auto"
     channel: Channel = "auto"
+    plate: Plate = "auto"  # where the target's plane reaches beyond its marks
 
 
 def plan_of(session: CalibrationSession) -> CalibrationPlan:
@@ -70,9 +72,9 @@ def plan_of(session: CalibrationSession) -> CalibrationPlan:
         LaserPlan(name, session.along, session.channel, None)
         for name in dict.fromkeys(name for plane in planes for name in plane.lasers)
     )
-    polarity = session.target.polarity if isinstance(session.target, SpotGrid) else "light"
+    polarity: Polarity = getattr(session.target, "polarity", "light")  # boards have none
     return CalibrationPlan(
-        _PLACE, session.camera_id, session.target, polarity, dict(session.accept), lasers, planes, ()
+        _PLACE, session.camera_id, session.target, polarity, dict(session.accept), lasers, planes, (), session.plate
     )
 
 

@@ -79,7 +79,7 @@ def test_parallel_or_few_views_are_refused(truth) -> None:
     flat = [truth.marks(Pose.from_rotation_vector([0, 0, 0.1 * k], [0, 0, 400.0]), f"v{k}") for k in range(5)]
     with pytest.raises(CalibrationError, match=r"focal length .* and distance cannot be told apart"):
         fit_freehand(flat, SIZE)
-    with pytest.raises(CalibrationError, match=r"2 usable freehand view\(s\) of 3.*v7: dark"):
+    with pytest.raises(CalibrationError, match=r"2 usable freehand view\(s\) of 3.*dark .v7"):
         fit_freehand(views(truth, 6)[:2], SIZE, dropped=[("v7", "dark")])
     assert leave_views_out(fit_freehand(views(truth, 7, count=3), SIZE)) == ()
 
