@@ -14,7 +14,7 @@ from calibration.targets._looks import eight_bit, magnified, refined
 from calibration.targets.boards import Corners
 from calibration.targets.layout import MarkerBoard
 
-_MISFIT = 0.12  # of a marker's side in the image, rms: more is no error of measurement
+_MISFIT = 0.08  # of a marker's side in the image, rms: more is no error of measurement
 _TURN = 12.0  # degrees by which a marker may seem turned otherwise than stated
 
 

@@ -106,3 +106,31 @@ def test_a_corner_that_the_detector_misplaces_is_found_again(monkeypatch):
     again = find_chessboard(image, target)
     assert again.mark.tolist() == right.mark.tolist()
     assert np.abs(again.pixels - right.pixels).max() < 0.02
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(6, 8), (5, 9)])
+def test_a_board_told_too_small_is_refused_where_its_pattern_goes_on(rows, columns):
+    image = picture(chessboard(6, 9, 10.0, 0.25), 0.25, HOMOGRAPHY)
+    with pytest.raises(CalibrationError, match="its pattern goes on|no chessboard"):
+        find_chessboard(image, Chessboard(rows, columns, (10.0, 10.0)))
+
+
+def test_a_pattern_that_goes_on_is_told_from_a_margin():
+    """The law under the refusal: all four sides of a whole board end; of a part of it the cut side goes on."""
+    image = picture(chessboard(6, 9, 10.0, 0.25), 0.25, HOMOGRAPHY)
+    truth = pixels(HOMOGRAPHY, Chessboard(6, 9, (10.0, 10.0)).marks + np.array([20.0, 20.0, 0.0])).reshape(6, 9, 2)
+    boards._check_whole(image, truth)
+    for part in (truth[:, 1:], truth[:, :-1], truth[1:], truth[:-1]):
+        with pytest.raises(CalibrationError, match="its pattern goes on"):
+            boards._check_whole(image, part)
+
+
+def test_a_blurred_dim_board_is_found_in_another_look():
+    image = picture(chessboard(6, 9, 10.0, 0.25), 0.25, HOMOGRAPHY)
+    small = cv2.resize(image, None, fx=0.28, fy=0.28, interpolation=cv2.INTER_AREA)
+    noise = np.random.default_rng(3).normal(0, 3, small.shape)
+    dim = np.clip(small * 0.25 + 10 + noise, 0, 255).astype(np.uint8)
+    found = find_chessboard(dim, Chessboard(6, 9, (10.0, 10.0)))
+    truth = (pixels(HOMOGRAPHY, Chessboard(6, 9, (10.0, 10.0)).marks + np.array([20.0, 20.0, 0.0])) + 0.5) * 0.28 - 0.5
+    error = min(np.abs(found.pixels - truth[found.mark]).max(), np.abs(found.pixels - truth[::-1][found.mark]).max())
+    assert error < 1.0
