@@ -1,1 +1,6 @@
-"""The command line."""
+"""argv to the library to print to exit status; no mathematics.
+
+In: the words of a command line.
+Out: tables or `--json` on stdout, talk on stderr, exit status 0, 1, 2 or 3.
+Read: main, console, calibrate, scan, measure, locate, view.
+"""

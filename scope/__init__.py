@@ -2,6 +2,11 @@
 
 Everything public is here; each name is loaded when it is first used (PEP 562), so that ``import scope`` costs neither
 SciPy nor Open3D.
+
+In: files or arrays: images of targets, laser stripes, a mesh, a cloud.
+Out: rigs, clouds, roughness, poses, checks, and the pages that show them.
+Read: the rooms session, calibrating, scanning, cloud; heightmap, roughness, model, pose, check; simulation,
+    report, demo. Tools: optional, errors, version.
 """
 
 from __future__ import annotations
@@ -19,10 +24,13 @@ _HOMES = {
     "CalibrationSession": "scope.session",
     "Charuco": "calibration.targets",
     "Chessboard": "calibration.targets",
+    "CircleGrid": "calibration.targets",
     "FileError": "calibration.errors",
     "Fixed": "ranging.motion",
     "HeightMap": "scope.heightmap",
     "Linear": "ranging.motion",
+    "MarkerBoard": "calibration.targets",
+    "MarkerPlace": "calibration.targets",
     "MeasurementError": "scope.errors",
     "MissingLibraryError": "scope.errors",
     "Plane": "calibration.geometry",

@@ -19,6 +19,9 @@ import pytest
 import scope
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "scripts"))
+import rooms  # noqa: E402  (a script beside the packages)
+
 LAYERS = ("calibration", "ranging", "scope", "cli")  # each may import those before it
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 SOURCES = sorted(path for layer in LAYERS for path in (ROOT / layer).rglob("*.py"))
@@ -189,6 +192,22 @@ def test_no_folder_is_crowded() -> None:
     folders = {path.parent for path in SOURCES}
     crowded = {str(f.relative_to(ROOT)): len(list(f.glob("*.py"))) for f in folders if len(list(f.glob("*.py"))) > 16}
     assert crowded == {}
+
+
+def test_rooms_tell_what_goes_in_what_comes_out_and_how_to_read_them() -> None:
+    for room in rooms.rooms():
+        told = rooms.story(room)
+        assert {"title", "in", "out", "read"} == set(told), room
+        files = {path.stem for path in room.glob("*.py") if not path.stem.startswith("_")}
+        read = re.findall(r"[a-z_0-9]+", told["read"])
+        assert files <= set(read), f"{room}: not told how to read {files - set(read)}"
+        inside = {path.parent.name for path in room.glob("*/__init__.py")}
+        assert inside <= set(read), f"{room}: does not name its rooms {inside - set(read)}"
+
+
+def test_contributing_shows_the_rooms_as_they_are() -> None:
+    paper = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    assert rooms.table() in paper, "python3 scripts/rooms.py --write"
 
 
 # --- what an import costs ---------------------------------------------------------------------------------------

@@ -1,4 +1,10 @@
-"""calibration.rays."""
+"""Marks on known planes to sighting rays: one camera model beside the other, all with the same `rays(pixels)`.
+
+In: pixels (N, 2) of marks, their covariance, and where the marks stand (N, 3) on each plane or view.
+Out: a camera: maps of two planes and more, one smooth field of rays, or a pinhole; with the covariance of its
+    fit.
+Read: polynomial, chebyshev, plane_map, two_plane, ray_field, pinhole, target_pose, uncertainty.
+"""
 
 from calibration.rays.pinhole import FreehandFit, PinholeCamera, fit_freehand, refit_without
 from calibration.rays.plane_map import MAX_ORDER, Order, PlaneMap, PlaneMarks, fit_plane_map, normal_equations, rms

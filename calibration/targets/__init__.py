@@ -1,4 +1,10 @@
-"""calibration.targets."""
+"""An image of a target to its marks: pixels with their covariance, each with the mark that it is.
+
+In: an image (H, W) and the target that it shows: a spot grid, a board, circles, markers, or a list of marks.
+Out: `Spots` with sub-pixel centres and covariance, and the index of the mark that each of them is; or the
+    reason why not.
+Read: layout, spots, eccentricity, lattice, grid, listed, boards, circles, markers.
+"""
 
 from calibration.targets.boards import find_charuco, find_chessboard
 from calibration.targets.circles import find_circles

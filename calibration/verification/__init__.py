@@ -1,4 +1,10 @@
-"""calibration.verification."""
+"""A calibration proved by itself: the intra-plane and the inter-plane analysis, planes left out, faults by name.
+
+In: all sightings of all marks, and the camera fitted to them.
+Out: figures in px and mm, and faults: which plane, what is wrong with it, by how much, what to do.
+Read: analysis, leave_out, observations, redundancy, misplacement, hypotheses, faults, mix_ups, rig_faults,
+    wording.
+"""
 
 from calibration.verification.analysis import Interplane, Intraplane, block_image, interplane, intraplane
 from calibration.verification.faults import find_faults

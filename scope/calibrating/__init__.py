@@ -1,4 +1,9 @@
-"""scope.calibrating."""
+"""calibration.toml, or images in memory, to a verified rig: marks, rays, lasers, stages, verification, verdict.
+
+In: a calibration file or a `CalibrationSession`.
+Out: `Calibration`: the rig, the figures of both analyses, faults, what was left out and why, passed or not.
+Read: run, marks, plates, channels, lasers, stages, stage_scale, left_out, verdict, verifying.
+"""
 
 from scope.calibrating.marks import MeasuredPlane
 from scope.calibrating.run import Calibration, calibrate

@@ -1,4 +1,10 @@
-"""scope.cloud."""
+"""The cloud that everything measures: its columns, its lattice, regions, filters, and every file format.
+
+In: points in scan order with what is known of each; or a file of another program.
+Out: `ScanCloud`, and PLY, PCD, XYZ, LAS, E57 files.
+Read: columns, scan_cloud, lattice, normals, sheet, region, region_text, near_mesh, filters, files, fields, ply,
+    pcd, text, surveying.
+"""
 
 from scope.cloud.columns import Sensors
 from scope.cloud.fields import SENSOR, VERTEX

@@ -1,4 +1,9 @@
-"""scope.heightmap."""
+"""A region of a cloud to heights on a lattice, with the form taken off: what roughness is measured on.
+
+In: a cloud and a region, a mesh as nominal form, or a height map file.
+Out: `HeightMap` with gaps and sigma; its form, filtered parts and spectrum.
+Read: heights, patch, form, filters, edges, model, spatial, files.
+"""
 
 from scope.heightmap.edges import refuse_edges
 from scope.heightmap.files import ENDINGS, NoLatticeError, read_heights, within

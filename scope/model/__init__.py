@@ -1,4 +1,9 @@
-"""scope.model."""
+"""A known part, prepared once: what searching and refining a pose need of its mesh.
+
+In: a mesh file, units mm.
+Out: `Model`: exact surface, signed distance on a grid, samples, views, symmetries.
+Read: files, surface, model, grid, alignment.
+"""
 
 from scope.model.alignment import Fit, evaluate, refine
 from scope.model.files import load_model

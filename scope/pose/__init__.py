@@ -1,4 +1,11 @@
-"""scope.pose."""
+"""Where a known part is, with covariance; or that it cannot be told.
+
+In: a cloud, with where camera and laser stood if it knows, and a `Model`.
+Out: `PoseResult`: cloud_from_model, covariance, runner-up and margin; refused where another pose explains as
+    much.
+Read: placed, estimate, answer, segmentation, search, piece, visibility, decision, rim, borders, uncertainty,
+    wording.
+"""
 
 from scope.pose.answer import PoseResult
 from scope.pose.estimate import estimate_pose

@@ -1,4 +1,9 @@
-"""scope.report."""
+"""Results as self-contained pages, with figures in mm, pictures and the cloud to be turned.
+
+In: a calibration, a scan, roughness, a pose, a check, a cloud.
+Out: one HTML file each, and the tables that the terminal prints.
+Read: page, pictures, calibration, scan, roughness, pose, view.
+"""
 
 from scope.report.calibration import (
     calibration_page,

@@ -1,4 +1,11 @@
-"""scope.scanning."""
+"""The scan as a line of stages: frames, stripes, points, refined points, a cloud.
+
+In: a rig, and a capture or frames in memory with their motion.
+Out: `ScanCloud` and what the scan tells of itself: lines with a point, reasons of the others, lasers that
+    disagree.
+Read: run, options, setup, preparation, stripes, points, refinement, assembly, statistics, file, scanner,
+    covariance, agreement, overlap.
+"""
 
 from scope.scanning.agreement import Agreement
 from scope.scanning.covariance import point_covariance

@@ -1,4 +1,9 @@
-"""scope.session."""
+"""What people write and cameras give: TOML files read and refused in one line, images and frames in order.
+
+In: calibration.toml, capture.toml, folders of images, videos; or the same from memory.
+Out: frozen descriptions of a calibration or a capture, and a source that decodes its frames ahead.
+Read: toml_file, target_section, calibration_file, in_memory, capture, images, frames, templates.
+"""
 
 from scope.session.calibration_file import (
     CalibrationPlan,
@@ -10,7 +15,7 @@ from scope.session.calibration_file import (
 )
 from scope.session.capture import Capture, StageUse, read_capture
 from scope.session.frames import AHEAD, Frame, Iterated, Source, frames_in_memory, in_order, open_source
-from scope.session.images import ImageInMemory, Stored, gray, mean_gray, mean_image, read_alike, read_image, shape_text
+from scope.session.images import ImageInMemory, gray, mean_gray, mean_image, read_alike, read_image, shape_text
 from scope.session.in_memory import CalibrationSession, PlaneView, plan_of
 from scope.session.target_section import Plate
 from scope.session.templates import TEMPLATES, write_template
@@ -19,18 +24,16 @@ from scope.session.toml_file import MM
 __all__ = [
     "AHEAD",
     "CalibrationPlan",
+    "CalibrationSession",
     "Capture",
     "Frame",
-    "CalibrationSession",
     "ImageInMemory",
     "Iterated",
-    "PlaneView",
-    "Stored",
-    "plan_of",
     "LaserPlan",
     "ListedMarks",
     "MM",
     "PlanePlan",
+    "PlaneView",
     "Plate",
     "Source",
     "StagePlan",
@@ -42,6 +45,7 @@ __all__ = [
     "mean_gray",
     "mean_image",
     "open_source",
+    "plan_of",
     "read_alike",
     "read_calibration",
     "read_capture",

@@ -1,4 +1,9 @@
-"""simulation."""
+"""The witness: a rig with known truth rendered to images; it shares no code with what it judges.
+
+In: rig-design.toml.
+Out: sessions as people record them (calibration.toml, capture.toml, images) and the truth beside them.
+Read: rig_design, virtual_rig, optics, solids, rendering, stripe_truth, session.
+"""
 
 from scope.simulation.optics import exact_rays, project
 from scope.simulation.rendering import expose, render_stripe, render_target
