@@ -15,6 +15,7 @@ from calibration import checked
 from calibration.atomic import write_text
 from calibration.errors import FileError
 from calibration.geometry import Plane, Pose
+from calibration.notebook import Picture, Shown, Summary, scatter
 from calibration.rays import Domain, PinholeCamera, PlaneMap, RayField, TwoPlaneCamera, exponents
 from calibration.seal import altered, sealed
 from calibration.sheet import CurvedSheet, Laser, PlaneOfLight, Sheet, SheetFrame, order_of
@@ -39,8 +40,8 @@ class Verification:
     interplane_px: float = float("nan")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rig:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Rig(Shown):
     """Camera, lasers and stages in frame C, and what was verified."""
 
     camera: AnyCamera
@@ -105,6 +106,29 @@ class Rig:
             )
         why = f"edited after calibration: {_listed(changed)}; {rig.verification.why}"
         return replace(rig, verification=replace(rig.verification, passed=False, why=why))
+
+    def summary(self) -> Summary:
+        """Camera, lasers, stages and verdict."""
+        width, height = self.camera.size
+        verdict = "verified" if self.verification.passed else f"not verified ({self.verification.why})"
+        figures = [("camera", f"{width} x {height} px"), ("lasers", ", ".join(self.lasers) or "none")]
+        if self.stages:
+            figures.append(("stages", ", ".join(stage.kind for stage in self.stages)))
+        if self.sha256:
+            figures.append(("file", self.sha256[:8]))
+        return Summary(f"Rig, {verdict}", tuple(figures))
+
+    def picture(self) -> tuple[Picture | None, str]:
+        """The sheets of light within the calibrated volume, from the side."""
+        width, height = self.camera.size
+        u, v = np.meshgrid(np.linspace(0, width - 1, 120), np.linspace(0, height - 1, 120))
+        rays = self.camera.rays(np.stack([u.ravel(), v.ravel()], axis=1))
+        lit = [laser.sheet.intersect(rays).points for laser in self.lasers.values()]
+        points = np.concatenate([np.zeros((0, 3)), *lit])
+        number = np.repeat(np.arange(len(lit), dtype=np.float64), [len(part) for part in lit])
+        inside = self.camera.volume.contains(points)
+        x, y, z = points[inside].T
+        return scatter(x, z, number[inside] if len(lit) > 1 else y), "sheets in the calibrated volume: x right, z down"
 
     def save(self, path: str | Path) -> None:
         """Write the rig whole, or not at all."""

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.geometry import Array, Codes
+from calibration.notebook import Picture, Shown, Summary, number, scatter
 from calibration.reason import Reason
 from ranging.stripe import Stripe
 from ranging.triangulation import Triangulated
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Profile:
+class Profile(Shown):
     """Points of one image in C, one row a line of the image; rows without a point are NaN and ``reason`` says why."""
 
     points: Array  # (L, 3) mm, in C
@@ -49,7 +50,17 @@ class Profile:
         order = np.argsort(-counts, kind="stable")
         return {Reason(int(codes[k])).key: int(counts[k]) for k in order}
 
-    def __repr__(self) -> str:
-        """The figures in one line."""
-        sigma = f", sigma {np.nanmedian(self.sigma):.3g} mm" if self.ranged else ""
-        return f"<Profile of {self.laser}: {self.ranged} of {len(self)} lines have a point{sigma}>"
+    def summary(self) -> Summary:
+        """Lines with a point, their noise, and why the others have none."""
+        figures = [("sigma", number(float(np.nanmedian(self.sigma)), "mm"))] if self.ranged else []
+        figures += [(reason, f"{count} lines") for reason, count in list(self.rejected.items())[:3]]
+        return Summary(f"Profile of {self.laser}: {self.ranged} of {len(self)} lines have a point", tuple(figures))
+
+    def picture(self) -> tuple[Picture | None, str]:
+        """The profile as a side view: along the stripe to the right, z down."""
+        points = self.points[self.reason == Reason.RANGED]
+        if len(points) < 2:
+            return None, ""
+        flat = points[:, :2] - points[:, :2].mean(axis=0)
+        along = flat @ np.linalg.svd(flat, full_matrices=False)[2][0]
+        return scatter(along, points[:, 2], points[:, 2]), "along the stripe to the right, z down, coloured by z"

@@ -14,6 +14,20 @@ Polarity = Literal["light", "dark"]
 GridIndex: TypeAlias = tuple[int, int]  # (row, column), from 0
 
 
+def _pair(pitch: object) -> tuple[float, float]:
+    """Pitch along x and y of a pair, or of the one number that stands for both; ``ValueError`` for what is neither."""
+    both = np.atleast_1d(np.asarray(pitch, dtype=np.float64))
+    if both.shape not in ((1,), (2,)) or not (np.isfinite(both).all() and (both > 0).all()):
+        raise ValueError(f"pitch is {pitch!r}: give a positive number in mm, or a pair of them along x and y")
+    return float(both[0]), float(both[-1])
+
+
+def _check_counts(rows: object, columns: object) -> None:
+    for name, count in (("rows", rows), ("columns", columns)):
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 2:
+            raise ValueError(f"{name} is {count!r}: give how many there are, 2 or more")
+
+
 def _lattice(rows: int, columns: int, pitch: tuple[float, float]) -> Array:
     """Marks (rows * columns, 3) mm, row by row: x along a row, y down the columns, (0, 0) first."""
     row, column = np.mgrid[0:rows, 0:columns]
@@ -29,11 +43,15 @@ class SpotGrid:
 
     rows: int
     columns: int
-    pitch: tuple[float, float]  # mm, along x and y
+    pitch: tuple[float, float]  # mm, along x and y; one number stands for both
     diameter: float | None = None  # mm; None where it is not known
     polarity: Polarity = "light"
     fiducials: tuple[GridIndex, ...] = ()
     fiducial_diameter: float | None = None  # mm
+
+    def __post_init__(self) -> None:
+        _check_counts(self.rows, self.columns)
+        object.__setattr__(self, "pitch", _pair(self.pitch))
 
     @property
     def marks(self) -> Array:
@@ -65,7 +83,11 @@ class Chessboard:
 
     rows: int
     columns: int
-    pitch: tuple[float, float]  # mm
+    pitch: tuple[float, float]  # mm, along x and y; one number stands for both
+
+    def __post_init__(self) -> None:
+        _check_counts(self.rows, self.columns)
+        object.__setattr__(self, "pitch", _pair(self.pitch))
 
     @property
     def marks(self) -> Array:
@@ -79,10 +101,14 @@ class Charuco:
 
     rows: int
     columns: int
-    pitch: tuple[float, float]  # mm, square
+    pitch: tuple[float, float]  # mm, square; one number stands for both
     marker: float  # mm
     dictionary: str
     legacy: bool = False
+
+    def __post_init__(self) -> None:
+        _check_counts(self.rows, self.columns)
+        object.__setattr__(self, "pitch", _pair(self.pitch))
 
     @property
     def marks(self) -> Array:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calibration.errors import CalibrationError, FileError
+from calibration.notebook import Picture, Shown, Summary
 from calibration.rays import FreehandFit, Order, PlaneMarks, TwoPlaneFit, fit_freehand, fit_two_plane, locate_target
 from calibration.rig import AnyCamera, Rig, sha256_of
 from calibration.stages import Stage
@@ -29,7 +30,7 @@ Tick = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Calibration:
+class Calibration(Shown):
     """A rig and everything that led to it."""
 
     rig: Rig
@@ -67,9 +68,19 @@ class Calibration:
         """A row a plane, as in --json."""
         return list(self.result["planes"])
 
-    def __repr__(self) -> str:
-        """The verdict in one line."""
-        return f"<Calibration {'passed' if self.passed else 'did not pass'}: {self.why}>"
+    def summary(self) -> Summary:
+        """The verdict and the figures of the rig."""
+        verdict = "passed" if self.passed else "did not pass"
+        planes = (
+            ("planes", str(len(self.measured))),
+            ("left out", str(len(self.left_out))),
+            ("faults", str(len(self.faults))),
+        )
+        return Summary(f"Calibration {verdict}: {self.why}", (*planes, *self.rig.summary().figures))
+
+    def picture(self) -> tuple[Picture | None, str]:
+        """The rig's sheets of light."""
+        return self.rig.picture()
 
 
 def _no_tick(_done: int, _total: int) -> None:

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from calibration.geometry import Array, Bools, rotation_from_quaternion
+from calibration.notebook import Shown, Summary, number
 from scope.check.shapes import CUT, LEAST, Shape, find_cylinder, find_sphere, fit_levels, fit_shape
 from scope.cloud import Region, ScanCloud, refuse_sheet
 from scope.errors import MeasurementError
@@ -74,8 +75,8 @@ class Size:
         return self.measured - self.nominal
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ArtefactCheck:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ArtefactCheck(Shown):
     """What a scan of an artefact says of the scanner."""
 
     artefact: Artefact
@@ -90,6 +91,15 @@ class ArtefactCheck:
     span_mm: float  # z span of the cloud, to which linearity refers
     within: bool | None  # |error_mm| <= tolerance; None without a tolerance
     claimed: bool | None  # every error of size lies within its claimed uncertainty; None where there is no size
+
+    def summary(self) -> Summary:
+        """Errors of size and form, and whether they are within tolerance."""
+        verdict = {None: "", True: ", within tolerance", False: ", out of tolerance"}[self.within]
+        figures = (("error", number(self.error_mm, "mm")), ("form", number(self.form_mm, "mm")))
+        return Summary(
+            f"ArtefactCheck of a {self.artefact.kind}{verdict}",
+            (*figures, ("rms", number(self.rms_mm, "mm")), ("points", f"{self.points:,}")),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

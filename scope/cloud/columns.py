@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.geometry import Array, Bools, Pose, rotation_from_quaternion
+from calibration.notebook import Picture, Shown, Summary, number, scatter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,8 +26,8 @@ class Sensors:
         return len(self.frame)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Columns:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Columns(Shown):
     """What a `ScanCloud` holds: N ranged points of one scan, in scan order, by frame, then along the stripe.
 
     The frame is that of the calibration (C) with the object put back to position 0. ``sigma`` is independent from
@@ -53,6 +54,28 @@ class Columns:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def summary(self) -> Summary:
+        """Points, frames, extent and noise."""
+        if len(self) == 0:
+            return Summary(f"{type(self).__name__}: no points")
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        known = self.sigma[np.isfinite(self.sigma)]
+        figures = [
+            ("frames", f"{len(np.unique(self.frame)):,}"),
+            ("extent", " x ".join(f"{x:.4g}" for x in high - low) + " mm"),
+            ("sigma", number(float(np.median(known)), "mm") if len(known) else "not known"),
+        ]
+        if self.rig_sha256:
+            figures.append(("rig", f"{self.rig_sha256[:8]}, {'verified' if self.verified else 'not verified'}"))
+        if not self.complete:
+            figures.append(("complete", "no, frames are missing"))
+        return Summary(f"{type(self).__name__}: {len(self):,} points", tuple(figures))
+
+    def picture(self) -> tuple[Picture | None, str]:
+        """The points seen along z, coloured by z."""
+        x, y, z = self.points.T
+        return scatter(x, y, z), "x to the right, y down, coloured by z"
 
     @classmethod
     def from_points(cls, points: Array) -> Self:

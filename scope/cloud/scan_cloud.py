@@ -10,7 +10,7 @@ from scope.cloud.columns import Columns
 from scope.cloud.files import read_cloud, write_cloud
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ScanCloud(Columns):
     """N ranged points of one scan, in scan order: by frame, then along the stripe.
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.geometry import Array, Bools
+from calibration.notebook import Picture, Shown, Summary, coloured, enlarged
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HeightMap:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class HeightMap(Shown):
     """Heights above a reference on a lattice of rows and columns; NaN where nothing was measured.
 
     For a scan, rows are profiles (frames) and columns positions along the stripe. Positive is out of the material,
@@ -28,6 +29,19 @@ class HeightMap:
     form: str = "none"  # what the F-operator removed
     filters: tuple[str, ...] = ()  # what was filtered, in order
     notes: tuple[str, ...] = ()  # what a reader must know of how the map came about
+
+    def summary(self) -> Summary:
+        """Size, pitch, gaps and form."""
+        rows, columns = self.z.shape
+        pitch = f"{self.pitch[0]:.3g} x {self.pitch[1]:.3g} mm"
+        return Summary(
+            f"HeightMap of {rows} x {columns} heights",
+            (("pitch", pitch), ("gaps", f"{100 * self.gap_share:.1f} %"), ("form removed", self.form)),
+        )
+
+    def picture(self) -> tuple[Picture | None, str]:
+        """The heights, coloured."""
+        return enlarged(coloured(self.z)), "heights, a row a profile; gaps are grey"
 
     def __post_init__(self) -> None:
         if self.z.ndim != 2 or not all(np.isfinite(p) and p > 0.0 for p in self.pitch):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.geometry import Array, Ints, Pose
+from calibration.notebook import Picture, Shown, Summary, number, scatter
 from scope.errors import MeasurementError
 from scope.model.alignment import refine
 from scope.model.grid import DistanceGrid, align
@@ -26,8 +27,8 @@ class Axis:
     direction: Array  # (3,) unit
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Model:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Model(Shown):
     """A part in its own frame, mm."""
 
     name: str
@@ -44,6 +45,17 @@ class Model:
     likenesses: tuple[Pose, ...]  # motions that take the model nearly onto itself, identity left out
     symmetries: tuple[Pose, ...]  # those of them that take it exactly onto itself
     axis: Axis | None  # of revolution
+
+    def summary(self) -> Summary:
+        """Name and size."""
+        return Summary(
+            f"Model {self.name}", (("triangles", f"{len(self.faces):,}"), ("diagonal", number(self.diameter, "mm")))
+        )
+
+    def picture(self) -> tuple[Picture | None, str]:
+        """Its surface, seen along its z."""
+        x, y, z = self.samples.T
+        return scatter(x, y, z), "x to the right, y down, coloured by z"
 
     @property
     def centre(self) -> Array:

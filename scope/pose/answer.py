@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from calibration.geometry import Array, Ints, Pose
+from calibration.notebook import Picture, Shown, Summary, number, scatter
 from scope.model import Model
 from scope.pose.uncertainty import Uncertainty
 
@@ -36,8 +39,8 @@ class Candidate:
     behind: float  # nats by which it is worse than the best
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PoseResult(Shown):
     """The pose of one part; ``cloud_from_model`` is None where the answer must not be used."""
 
     cloud_from_model: Pose | None
@@ -59,3 +62,22 @@ class PoseResult:
     def found(self) -> bool:
         """Whether there is a pose to use."""
         return self.cloud_from_model is not None
+
+    def summary(self) -> Summary:
+        """Where the part is and how sure that is, or why it cannot be told."""
+        figures = [("points", f"{len(self.points):,}"), ("rms", number(self.rmse_mm, "mm"))]
+        if self.cloud_from_model is None:
+            return Summary(f"PoseResult, no pose: {self.why}", tuple(figures))
+        at = ", ".join(f"{x:.3f}" for x in self.cloud_from_model.translation)
+        if self.covariance is not None:
+            spread = np.sqrt(np.diag(self.covariance))
+            figures.append(("sigma", f"{spread[:3].max():.2g} mm, {np.degrees(spread[3:].max()):.2g} degrees at worst"))
+        figures.append(("runner-up", "none" if np.isinf(self.score) else f"{self.score:.3g} nats behind"))
+        return Summary(f"PoseResult at ({at}) mm", tuple(figures))
+
+    def picture(self) -> tuple[Picture | None, str]:
+        """The part where it was found, seen along z of the cloud."""
+        if self.cloud_from_model is None:
+            return None, ""
+        x, y, z = self.cloud_from_model.apply(self.model.samples).T
+        return scatter(x, y, z), "the part's surface where it was found, seen along z of the cloud, coloured by z"

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calibration.notebook import Picture, Shown, Summary, number
 from scope.cloud import Mesh, Region, ScanCloud
 from scope.errors import MeasurementError
 from scope.heightmap import (
@@ -61,8 +62,8 @@ class RoughnessOptions:
             )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Roughness:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Roughness(Shown):
     """Parameters of one patch."""
 
     areal: Mapping[str, Parameter]
@@ -77,6 +78,16 @@ class Roughness:
     acf: Autocorrelation
     name: str = "patch"
     settings: Mapping[str, str] = field(default_factory=dict)  # form, filters, formulas, in words
+
+    def summary(self) -> Summary:
+        """Sq, Sa and Sz with their uncertainty, and the noise that was taken out."""
+        figures = [(key, self.areal[key].in_words()) for key in ("Sq", "Sa", "Sz") if key in self.areal]
+        figures.append(("noise", f"{number(self.noise_floor, 'mm')} by {self.noise_source}"))
+        return Summary(f"Roughness of {self.name}{'' if self.valid else ', not valid'}", tuple(figures))
+
+    def picture(self) -> tuple[Picture | None, str]:
+        """The heights that were measured."""
+        return self.heights.picture()
 
     def to_dict(self) -> dict[str, object]:
         """As it stands in JSON (docs/formats.md)."""

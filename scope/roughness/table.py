@@ -72,6 +72,13 @@ class Parameter:
     clause: str = ""
     at_least: bool = False  # a one-sided bound: what was not seen may only make it greater
 
+    def in_words(self) -> str:
+        """Value, uncertainty and unit; or why there is none."""
+        if self.value is None:
+            return f"withheld: {self.reason}"
+        spread = "" if self.uncertainty is None else f" +- {self.uncertainty:.2g}"
+        return f"{'at least ' if self.at_least else ''}{self.value:.4g}{spread} {self.unit}".rstrip()
+
     def to_dict(self) -> dict[str, float | str | None]:
         """As it stands in JSON."""
         told: dict[str, float | str | None] = {"value": self.value, "uncertainty": self.uncertainty, "unit": self.unit}

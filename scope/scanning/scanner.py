@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+from calibration.notebook import Picture, Shown, Summary
 from calibration.rig import Rig
 from ranging.background import Channel, Image
 from ranging.errors import RangingError
@@ -25,7 +26,7 @@ from scope.session import Frame, ImageInMemory, Iterated
 Frames = Iterable[Image | tuple[Image, Image]]
 
 
-class Scanner:
+class Scanner(Shown):
     """A calibrated rig that takes images.
 
     Parameters
@@ -166,10 +167,14 @@ class Scanner:
             self._first = first
         return self._setup
 
-    def __repr__(self) -> str:
-        """Rig and lasers in one line."""
+    def summary(self) -> Summary:
+        """Rig and lasers."""
         width, height = self.rig.camera.size
-        return f"<Scanner {width} x {height} px, {', '.join(laser.name for laser in self._lasers)}>"
+        return Summary(f"Scanner {width} x {height} px", (("lasers", ", ".join(laser.name for laser in self._lasers)),))
+
+    def picture(self) -> tuple[Picture | None, str]:
+        """The rig's sheets of light."""
+        return self.rig.picture()
 
 
 def _checked(frames: Frames) -> Iterator[Image | tuple[Image, Image]]:
