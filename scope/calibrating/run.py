@@ -14,7 +14,7 @@ import numpy as np
 from calibration.errors import CalibrationError, FileError
 from calibration.notebook import Picture, Shown, Summary
 from calibration.rays import FreehandFit, Order, PlaneMarks, TwoPlaneFit, fit_freehand, fit_two_plane, locate_target
-from calibration.rig import AnyCamera, Rig, sha256_of
+from calibration.rig import Rig, sha256_of
 from calibration.stages import Stage
 from scope.calibrating.channels import Choice
 from scope.calibrating.lasers import FoundLasers, LaserView, find_lasers
@@ -203,7 +203,7 @@ def _finish_jig(
     stages = find_stages(plan, fit.camera, found.lasers)
     left_out += [*found.left_out, *stages.left_out]
     verdict = judge_jig(plan, seen, fit, found.lasers, stages, left_out)
-    return _calibration(plan, seen, fit.camera, found, stages.stages, verdict, fit, None, left_out)
+    return _calibration(plan, seen, fit, found, stages.stages, verdict, left_out)
 
 
 def _finish_freehand(plan: CalibrationPlan, seen: list[MeasuredPlane], left_out: list[LeftOut]) -> Calibration:
@@ -224,17 +224,17 @@ def _finish_freehand(plan: CalibrationPlan, seen: list[MeasuredPlane], left_out:
     stages = find_stages(plan, fit.camera, found.lasers)
     left_out += [*found.left_out, *stages.left_out]
     verdict = judge_freehand(plan, seen, fit, found.lasers, stages, left_out)
-    return _calibration(plan, seen, fit.camera, found, stages.stages, verdict, None, fit, left_out)
+    return _calibration(plan, seen, fit, found, stages.stages, verdict, left_out)
 
 
 def _calibration(
-    plan: CalibrationPlan, seen: list[MeasuredPlane], camera: AnyCamera, found: FoundLasers, stages: tuple[Stage, ...],
-    verdict: Verdict, two_plane: TwoPlaneFit | None, freehand: FreehandFit | None, left_out: list[LeftOut],
+    plan: CalibrationPlan, seen: list[MeasuredPlane], fit: TwoPlaneFit | FreehandFit, found: FoundLasers,
+    stages: tuple[Stage, ...], verdict: Verdict, left_out: list[LeftOut],
 ) -> Calibration:  # fmt: skip
     folder = plan.path.parent.resolve()
     blur = [s.blur_px for s in seen if np.isfinite(s.blur_px)]
     rig = Rig(
-        camera=camera,
+        camera=fit.camera,
         lasers=found.lasers,
         stages=stages,
         verification=verdict.verification,
@@ -245,6 +245,7 @@ def _calibration(
         software=f"scope {__version__}",
         inputs={_relative(path, folder): sha256_of(path) for path in plan.files},
     )
+    two_plane, freehand = (fit, None) if isinstance(fit, TwoPlaneFit) else (None, fit)
     return Calibration(
         rig, plan, tuple(seen), two_plane, freehand, found.views, verdict, tuple(left_out), found.choices
     )

@@ -80,9 +80,9 @@ def judge_jig(
         }
         rows.append(_row(s, of_plane.get(s.plan.name), **figures))
     faults = [*_moved(seen), *[mirrored_fault(s.plan.name) for s in seen if s.mirrored], *_named(plan, fit, seen)]
-    ray_mm = _rms([h.rms_mm for h in held if h.between])
     content = {
-        "ray_mm": ray_mm,
+        "interplane_px": agreement.interplane_px,
+        "ray_mm": _rms([h.rms_mm for h in held if h.between]),
         "order": fit.planes[0].map.terms,
         "model": fit.camera.model,
         "interplane_mm": agreement.interplane_mm,
@@ -97,9 +97,7 @@ def judge_jig(
         "stages": [stage_content(stage) for stage in stages.stages],
         "warnings": list(stages.warnings),
     }
-    verdict = _verdict(
-        plan, seen, rows, lasers, agreement.interplane_px, faults, ray_mm, content, planes=len(fit.marks)
-    )
+    verdict = _verdict(plan, seen, rows, lasers, faults, content, planes=len(fit.marks))
     return Verdict(verdict.verification, verdict.content, inside, agreement, held)
 
 
@@ -123,16 +121,15 @@ def judge_freehand(
             if k is None
             else _row(s, of_view.get(s.plan.name), used=len(fit.views[k]), fit_px=rms(fit.residuals[k]))
         )
-    ray_mm = _rms([h.rms_mm for h in held])
     content = {
         "model": "pinhole",
-        "ray_mm": ray_mm,
+        "ray_mm": _rms([h.rms_mm for h in held]),
         "fit_px": fit.fit_px,
         "dropped": [each.content for each in left_out],
         "stages": [stage_content(stage) for stage in stages.stages],
         "warnings": list(stages.warnings),
     }
-    verdict = _verdict(plan, seen, rows, lasers, NAN, _moved(seen), ray_mm, content, planes=0)
+    verdict = _verdict(plan, seen, rows, lasers, _moved(seen), content, planes=0)
     return Verdict(verdict.verification, verdict.content, held_out=held)
 
 
@@ -226,27 +223,25 @@ def _verdict(
     seen: list[MeasuredPlane],
     rows: list[dict[str, Any]],
     lasers: dict[str, Laser],
-    interplane_px: float,
     faults: list[dict[str, Any]],
-    ray_mm: float,
     content: dict[str, Any],
     *,
     planes: int,
 ) -> Verdict:
     failed = [str(fault["remedy"]) for fault in faults]
-    failed += _beyond(plan, seen, lasers, ray_mm)
+    failed += _beyond(plan, seen, lasers, content["ray_mm"])
     passed = not failed
     why = "; ".join(failed) if failed else _praise(plan, planes)
     content = {
         "passed": passed,
         "why": why,
         "planes": rows,
-        "interplane_px": interplane_px,
+        "interplane_px": NAN,
         "faults": faults,
         "lasers": {name: laser_content(laser) for name, laser in lasers.items()},
         **content,
     }
-    return Verdict(Verification(passed, why, tuple(faults), tuple(rows), interplane_px), content)
+    return Verdict(Verification(passed, why, tuple(faults), tuple(rows), content["interplane_px"]), content)
 
 
 def _beyond(plan: CalibrationPlan, seen: list[MeasuredPlane], lasers: dict[str, Laser], ray_mm: float) -> list[str]:

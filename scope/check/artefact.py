@@ -156,7 +156,8 @@ def check_artefact(
     if known.kind != "plane":
         parts = (2 * shape.radius_se, 2 * shape.radius_shared, 2 * shape.radius_slope)
         sizes = (Size("diameter", known.diameter, 2 * shape.radius, *parts),)
-    return _judged(known, sizes, part.points, shape.nearest(part.points), shape.residual, shape.used, tolerance, span)
+    found = _Deviations(part.points, shape.nearest(part.points), shape.residual, shape.used)
+    return _judged(known, sizes, found, tolerance, span)
 
 
 def check_repeats(
@@ -238,18 +239,21 @@ def _spacing(points: Array) -> float:
     return float(np.median(cKDTree(points).query(some, k=2)[0][:, 1]))
 
 
+@dataclass(frozen=True, slots=True)
+class _Deviations:
+    """Points of a scan beside the fitted artefact."""
+
+    points: Array  # (N, 3) mm
+    nearest: Array  # (N, 3) mm, on the artefact
+    residual: Array  # (N,) mm, signed
+    used: Bools  # (N,)
+
+
 def _judged(
-    known: Artefact,
-    sizes: tuple[Size, ...],
-    points: Array,
-    nearest: Array,
-    residual: Array,
-    used: Bools,
-    tolerance: float | None,
-    span: float,
+    known: Artefact, sizes: tuple[Size, ...], found: _Deviations, tolerance: float | None, span: float
 ) -> ArtefactCheck:
-    kept = residual[used]
-    error = max((s.error for s in sizes), key=abs) if sizes else _worst_patch(points[used], kept)
+    points, nearest, kept = found.points[found.used], found.nearest[found.used], found.residual[found.used]
+    error = max((s.error for s in sizes), key=abs) if sizes else _worst_patch(points, kept)
     low, high = np.percentile(kept, [2.5, 97.5])
     return ArtefactCheck(
         artefact=known,
@@ -257,8 +261,8 @@ def _judged(
         error_mm=error,
         form_mm=float(high - low),
         rms_mm=float(np.sqrt(np.mean(kept**2))),
-        linearity_percent=_linearity_by_depth(nearest[used, 2], points[used, 2], span),
-        points=int(used.sum()),
+        linearity_percent=_linearity_by_depth(nearest[:, 2], points[:, 2], span),
+        points=len(kept),
         span_mm=span,
         within=None if tolerance is None else bool(abs(error) <= tolerance),
         claimed=all(abs(s.error) <= s.uncertainty for s in sizes) if sizes else None,
@@ -337,7 +341,7 @@ def _steps(cloud: ScanCloud, known: Artefact, tolerance: float | None, span: flo
         sizes.append(Size(f"step {nominal:g}", nominal, float(found.offset[k] - found.offset[0]), *parts))
     used = found.level >= 0
     flat = points - found.residual[:, None] * found.normal
-    check = _judged(known, tuple(sizes), points, flat, found.residual, used, tolerance, span)
+    check = _judged(known, tuple(sizes), _Deviations(points, flat, found.residual, used), tolerance, span)
     nominal_levels = np.array([0.0, *(s.nominal for s in sizes)])
     measured = np.array([0.0, *(s.measured for s in sizes)])
     return replace(check, linearity_percent=_linearity(nominal_levels, measured, span))
@@ -360,4 +364,4 @@ def _mesh(
         np.linalg.norm(local - closest, axis=1) < max(2 * CUT * spread, 0.05)
     )
     nearest = result.cloud_from_model.apply(closest)
-    return _judged(known, (), points, nearest, result.deviation, used, tolerance, span)
+    return _judged(known, (), _Deviations(points, nearest, result.deviation, used), tolerance, span)

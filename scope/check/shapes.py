@@ -13,6 +13,7 @@ from scope.pose import patches
 
 CUT = 3.5  # robust standard deviations beyond which a point is no part of the artefact
 LEAST = 50  # points
+TRIALS = 600  # planes through three points that are tried as levels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,7 +224,6 @@ def fit_levels(
     rng: np.random.Generator,
     *,
     sigma: Array | None = None,
-    trials: int = 600,
 ) -> Levels:
     """Parallel planes at about these heights (K - 1,) mm above a base, among points (N, 3) that may lie on none of them.
 
@@ -244,7 +244,7 @@ def fit_levels(
     if len(seeds) < LEAST:
         raise MeasurementError(f"only {len(seeds)} points have a normal, {LEAST} needed; scan more densely")
     best, normal, base = -1, towards, 0.0
-    for _ in range(trials):
+    for _ in range(TRIALS):
         k = int(rng.integers(len(seeds)))
         level = np.flatnonzero(np.abs((seeds - seeds[k]) @ normals[k]) < window)
         a, (b, c) = seeds[k], seeds[rng.choice(level, 2)]

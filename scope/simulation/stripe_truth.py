@@ -105,18 +105,8 @@ def true_stripe(
     pixels = project(camera, hits.points)
     good = hits.found & _seen(camera, scene, hits, pixels) & (np.abs(pixels[:, axis] - line) < 1e-6)
     cosine = -np.einsum("ij,ij->i", rays.direction, hits.normal) * hits.albedo
-    return _strongest(
-        camera,
-        laser,
-        along,
-        sensor,
-        level,
-        line[good],
-        pixels[good],
-        hits.points[good],
-        hits.normal[good],
-        cosine[good],
-    )
+    lit = _Lit(line[good], pixels[good], hits.points[good], hits.normal[good], cosine[good])
+    return _strongest(camera, laser, along, sensor, level, lit)
 
 
 def _seen(camera: ExactCamera, scene: Scene, hits: Hits, pixels: Array) -> np.typing.NDArray[np.bool_]:
@@ -131,24 +121,27 @@ def _seen(camera: ExactCamera, scene: Scene, hits: Hits, pixels: Array) -> np.ty
     return seen
 
 
+@dataclass(frozen=True, slots=True)
+class _Lit:
+    """Places that the sheet lights and the camera sees; a line of the image may have several."""
+
+    line: Ints  # (n,)
+    pixels: Array  # (n, 2)
+    points: Array  # (n, 3) mm
+    normal: Array  # (n, 3) unit
+    peak: Array  # (n,) light that comes back, 0 to 1
+
+
 def _strongest(
-    camera: ExactCamera,
-    laser: ExactLaser,
-    along: Along,
-    sensor: Sensor,
-    level: float,
-    line: Ints,
-    pixels: Array,
-    points: Array,
-    normal: Array,
-    peak: Array,
+    camera: ExactCamera, laser: ExactLaser, along: Along, sensor: Sensor, level: float, lit: _Lit
 ) -> TrueStripe:
     axis = 0 if along == "rows" else 1
+    line, peak = lit.line, lit.peak
     lines = camera.size[axis]
     order = np.lexsort((peak, line))
     chosen = order[np.flatnonzero(np.diff(np.append(line[order], -1)))] if len(line) else order
     line_of = line[chosen]
-    pixels, points, normal, peak = pixels[chosen], points[chosen], normal[chosen], peak[chosen]
+    pixels, points, normal, peak = lit.pixels[chosen], lit.points[chosen], lit.normal[chosen], peak[chosen]
     step = np.zeros((1, 2))
     step[0, 1 - axis] = 0.25
     before, after = exact_rays(camera, pixels - step), exact_rays(camera, pixels + step)
