@@ -2,7 +2,7 @@
 
 In: nothing.
 Out: a folder with rig, cloud, pages and figures.
-Read: run.
+Read: run, precompile.
 """
 
 from scope.demo.run import demo_text, run_demo
