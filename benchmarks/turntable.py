@@ -209,7 +209,7 @@ def main() -> None:
         cloud = run_scan(Path(place) / "capture.toml", found.rig, options=ScanOptions(extrapolate=NEARER)).cloud
     laser = found.rig.lasers["laser"]
     head("figure", "plain script", "SCOPE")
-    row("boards in the 31 laser images", boards, sum(p.plan.name.startswith("laser/") for p in found.planes))
+    row("boards in the 31 laser images", boards, sum(p["name"].startswith("laser/") for p in found.planes))
     row("with a stripe", usable, len(laser.planes))
     row("points", "", laser.n)
     row("a view left out, median of the rms, mm", float(np.median(left_out)), laser.loo_mm)

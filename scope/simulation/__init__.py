@@ -2,7 +2,7 @@
 
 In: rig-design.toml.
 Out: sessions as people record them (calibration.toml, capture.toml, images) and the truth beside them.
-Read: rig_design, virtual_rig, optics, solids, rendering, stripe_truth, session.
+Read: rig_design, virtual_rig, optics, solids, rendering, stripe_truth, session, wild.
 """
 
 from scope.simulation.optics import exact_rays, project
@@ -10,11 +10,14 @@ from scope.simulation.rendering import expose, render_stripe, render_target
 from scope.simulation.rig_design import RigDesign, read_design
 from scope.simulation.session import Simulation, simulate
 from scope.simulation.virtual_rig import VirtualRig
+from scope.simulation.wild import WildScene, draw_wild, write_wild
 
 __all__ = [
     "RigDesign",
     "Simulation",
     "VirtualRig",
+    "WildScene",
+    "draw_wild",
     "exact_rays",
     "expose",
     "project",
@@ -22,4 +25,5 @@ __all__ = [
     "render_stripe",
     "render_target",
     "simulate",
+    "write_wild",
 ]
