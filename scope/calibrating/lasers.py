@@ -17,7 +17,7 @@ from ranging.background import Channel, Image, clipping_level, to_gray
 from ranging.stripe import Along, Stripe, StripeOptions, extract, find_along
 from scope.calibrating.channels import Choice, candidates, choose
 from scope.calibrating.left_out import LeftOut, small
-from scope.calibrating.plates import LEAST, Common, Light, Seen, common_sheet, seen_on, stripes_on
+from scope.calibrating.plates import LEAST, SHALLOWEST, Common, Light, Seen, common_sheet, crossing, seen_on, stripes_on
 from scope.session import CalibrationPlan, LaserPlan, PlanePlan, mean_image, read_alike, shape_text
 
 _SAMPLE = 12  # views that choose the channel
@@ -133,13 +133,14 @@ def _fit(
         shared = _all_views(plan, _look(laser, camera, shots, guide, by_hand=by_hand), shots)[1]
         courses = courses if shared is None else shared.chosen | courses
     _check_agreement(plan, laser, common)
-    stripes, used, left_out = [], [], []
+    stripes, used, left_out, taken = [], [], [], []
     for shot, (offers, everything) in zip(shots, views, strict=True):
         own, reason = _kept(plan, shot, offers, everything, common, laser.name)
         kept = _completed(look, shot, own, courses.get(shot.plane.name)) if by_hand else own
         if kept is None:
             left_out.append(_picture(laser.name, shot, everything.pixels, reason))
             continue
+        taken.append(kept)
         stripes.append(_points(camera, kept, look.along))
         used.append(LaserView(laser.name, shot.plane.name, to_gray(shot.images[0], look.channel), kept.pixels))
     if len(stripes) < min(2, len(shots)):
@@ -153,6 +154,12 @@ def _fit(
         )
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
+    if float(np.median([crossing(fitted.plane, stripe) for stripe in taken])) < SHALLOWEST:
+        raise CalibrationError(
+            f"{plan.path}: laser {laser.name}: the light on {len(taken)} of {len(shots)} views keeps its pixels while the target moves, "
+            "so it is no sheet beside the camera: it lies on something behind the target, or the laser shines along the "
+            "camera's rays; shade it, give [target] plate, or move the laser aside"
+        )
     return FoundLasers({laser.name: fitted}, tuple(used), tuple(left_out), {laser.name: choice})
 
 
@@ -320,11 +327,21 @@ def _banded(image: Image, lines: Ints, expected: Array, band: int, along: Along)
 
 def _joined(first: Seen, second: Seen) -> Seen:
     order = np.argsort(np.concatenate([first.line, second.line]))
-    pixels, sigma, width, line, points, flat, marked = (
+    pixels, sigma, width, line, points, direction, flat, marked = (
         np.concatenate([getattr(first, name), getattr(second, name)])[order]
-        for name in ("pixels", "sigma", "width", "line", "points", "flat", "marked")
+        for name in ("pixels", "sigma", "width", "line", "points", "direction", "flat", "marked")
     )
-    return replace(first, pixels=pixels, sigma=sigma, width=width, line=line, points=points, flat=flat, marked=marked)
+    return replace(
+        first,
+        pixels=pixels,
+        sigma=sigma,
+        width=width,
+        line=line,
+        points=points,
+        direction=direction,
+        flat=flat,
+        marked=marked,
+    )
 
 
 def _points(camera: Camera, stripe: Seen, along: Along) -> StripePoints:

@@ -24,6 +24,9 @@ _GAP = 0.35  # of the extent of the marks, that may lie dark within a stripe
 _LINES = 3  # straight stripes that are tried in a view
 _DRAWS = 400
 _APART = 2.5  # px off the common sheet, beyond which a stripe is not of it
+SHALLOWEST = (
+    0.02  # sine of the angle between rays and a sheet (1.1 degrees), below which the light may as well stand still
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +48,7 @@ class Seen:
     width: Array  # (n,) px, one sigma of the profile
     line: Ints  # (n,) number of the image's line
     points: Array  # (n, 3) mm in C
+    direction: Array  # (n, 3) unit, of the sighting rays
     flat: Array  # (n, 2) mm, in the target's frame
     marked: Bools  # (n,) between the marks
     scale: float  # mm a px, at the marks
@@ -53,7 +57,7 @@ class Seen:
     def select(self, keep: Bools | Ints) -> Seen:
         """Return some of the light."""
         return Seen(
-            self.name, self.pixels[keep], self.sigma[keep], self.width[keep], self.line[keep], self.points[keep], self.flat[keep],
+            self.name, self.pixels[keep], self.sigma[keep], self.width[keep], self.line[keep], self.points[keep], self.direction[keep], self.flat[keep],
             self.marked[keep], self.scale, self.extent,
         )  # fmt: skip
 
@@ -63,13 +67,14 @@ def seen_on(camera: Camera, marks: PlaneMarks, light: Light) -> Seen:
     pixels = light.pixels
     line = np.flatnonzero(np.isfinite(pixels).all(axis=1))
     plane = Plane.through(marks.c_from_plane.translation, marks.c_from_plane.rotation[:, 2])
-    points = plane.intersect(camera.rays(pixels[line])).points if len(line) else np.zeros((0, 3))
+    rays = camera.rays(pixels[line])
+    points = plane.intersect(rays).points if len(line) else np.zeros((0, 3))
     hull = cv2.convexHull(marks.pixels.astype(np.float32)).astype(np.float32)
     marked = np.array(
         [cv2.pointPolygonTest(hull, (float(u), float(v)), False) >= 0 for u, v in pixels[line]], dtype=bool
     )
     known = np.isfinite(points).all(axis=1) & (marked | camera.volume.contains(points))
-    line, points, marked = line[known], points[known], marked[known]
+    line, points, direction, marked = line[known], points[known], rays.direction[known], marked[known]
     flat = marks.c_from_plane.inverse.apply(points)[:, :2] if len(points) else np.zeros((0, 2))
     extent = float(np.ptp(marks.points, axis=0).max())
     spread = max(float(np.ptp(marks.pixels, axis=0).max()), 1.0)
@@ -80,6 +85,7 @@ def seen_on(camera: Camera, marks: PlaneMarks, light: Light) -> Seen:
         light.width[line],
         line,
         points,
+        direction,
         flat,
         marked,
         extent / spread,
@@ -165,6 +171,8 @@ def common_sheet(views: Sequence[list[Seen]]) -> Common | None:
 
     Pairs of stripes of two views give planes (RANSAC, at random where there are many); a view agrees where both ends of one of
     its stripes lie within 2.5 px of the plane. A view agrees with what most say, so half of the views may show other light.
+    Light that keeps its pixels while the target moves (a stripe on the wall behind it, a window frame) spans a plane through the
+    camera in which the rays themselves lie: no sheet that anything could be ranged with, so such planes are not counted.
     """
     stripes = [(k, stripe) for k, view in enumerate(views) for stripe in view]
     if len(stripes) < 2:
@@ -181,7 +189,7 @@ def common_sheet(views: Sequence[list[Seen]]) -> Common | None:
     best, votes = None, (0, 0.0)
     for a, b in pairs:
         plane = _through(ends[a], ends[b])
-        if plane is None:
+        if plane is None or max(crossing(plane, stripes[a][1]), crossing(plane, stripes[b][1])) < SHALLOWEST:
             continue
         near = np.abs(ends @ plane.normal - plane.offset).max(axis=1) < tolerance
         agreeing = (len(set(owner[near].tolist())), float(count[near].sum()))
@@ -213,6 +221,11 @@ def _settled(plane: Plane, views: Sequence[list[Seen]]) -> Common:
         except ValueError:
             break
     return Common(plane, chosen, apart)
+
+
+def crossing(plane: Plane, stripe: Seen) -> float:
+    """Sine of the angle at which the rays of a stripe cross a plane, median."""
+    return float(np.median(np.abs(stripe.direction @ plane.normal)))
 
 
 def _ends(stripe: Seen) -> Array:

@@ -85,6 +85,25 @@ def test_views_that_show_other_light_are_told_from_the_sheet_that_the_others_sha
     assert all(off > 20.0 for off in common.apart.values())
 
 
+def test_light_that_keeps_its_pixels_while_the_plate_moves_is_no_sheet():
+    """Seven of ten views show the stripe of a wall that stands still; the plane that they span goes through the camera."""
+    rng = np.random.default_rng(6)
+    still = light(Plane.through(np.array([0.0, 0.0, 900.0]), np.array([0.05, 0.1, 1.0])), rng, slice(150, 330))
+    views = []
+    for k in range(10):
+        pose = Pose.from_rotation_vector(
+            np.radians(rng.uniform(-20, 20, 3)), np.array([-60.0, -60.0, 520.0 + 25.0 * k])
+        )
+        seen = marks(f"v{k}", pose)
+        views.append(view(k, rng, shift=30.0) if k < 3 else stripes_on(seen_on(camera(), seen, still), seen, "auto"))
+    assert all(views)
+    assert common_sheet(views[3:]) is None
+    common = common_sheet(views)
+    assert common is not None
+    assert {f"v{k}" for k in range(3)} <= set(common.chosen)
+    assert np.degrees(np.arccos(abs(common.plane.normal @ SHEET.normal))) < 0.5
+
+
 def test_stripes_on_one_line_span_no_sheet():
     rng = np.random.default_rng(6)
     first = view(1, rng)
