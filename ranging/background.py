@@ -154,6 +154,6 @@ def clipping_level(images: Sequence[Image]) -> int:
     return top if clipped >= 16 and clipped > 2 * close else level
 
 
-def typical_noise(level: int) -> Noise:
+def typical_noise(level: float) -> Noise:
     """Assume a camera that clips at a ``level`` of 9,000 electrons, with 40 electrons of read noise: where nothing better is known."""
     return Noise(gain_e=9000.0 / level, read_noise=1.2 * min(level / 255.0, 4.0))

@@ -13,14 +13,13 @@ serves all of them; a lane whose window is shorter masks the rest.
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.compiled import compiled
 from calibration.geometry import Array
-from ranging.stripe._peak_kernels import Pixels
 from ranging.stripe._table import (
     ASYMMETRY,
     ASYMMETRY_SIGMA,
@@ -38,7 +37,8 @@ from ranging.stripe._table import (
     SIGMA,
     STATE,
     WIDTH,
-    Layout,
+    CameraNoise,
+    Lines,
 )
 
 Single: TypeAlias = Any  # a float32 of the machine
@@ -52,24 +52,24 @@ LONGEST = 2 * FAR + 1
 MASKED = 1e-6  # least weight of a clipped pixel
 
 
-@compiled
-def fit_lines(
-    pixels: Pixels,
-    dark: Pixels,
-    layout: Layout,
-    place: NDArray[np.int32],
-    gain_e: float,
-    variance: float,
-    saturation: float,
-    table: Array,
-) -> None:
-    """Fit every line that has a place (>= 0).
+class _Window(NamedTuple):
+    """Pixels of sixteen lines, side by side."""
 
-    ``pixels`` and ``dark`` (empty: none) are flat images of a ``layout``, ``place`` (N,) px, ``variance`` the noise of a
-    dark pixel in grey levels squared; ``table`` (ROWS, N) receives the answers. Where the state is not GOOD they are NaN,
-    but for the peak and floor of what was seen.
+    y: Lanes  # (LONGEST, BATCH) grey levels, the laser-off image subtracted
+    known: Lanes  # (LONGEST, BATCH) weight: 1 where there is a pixel
+    clipped: NDArray[np.int64]  # (BATCH,) pixels
+    low: Lanes  # (BATCH,) first place of the window within the image
+    high: Lanes  # (BATCH,) last
+
+
+@compiled
+def fit_lines(lines: Lines, place: NDArray[np.int32], camera: CameraNoise, table: Array) -> None:
+    """Fit every line that has a place (>= 0), ``place`` (N,) px.
+
+    ``table`` (ROWS, N) receives the answers. Where the state is not GOOD they are NaN, but for the peak and floor of what
+    was seen. Longer than a screen, since its three steps share the buffers of sixteen lines and every value in them.
     """
-    count, length = layout[0], layout[1]
+    count, length = lines.layout[0], lines.layout[1]
     y = np.zeros((LONGEST, BATCH), np.float32)
     known = np.zeros((LONGEST, BATCH), np.float32)
     p = np.zeros(BATCH, np.float32)
@@ -84,14 +84,15 @@ def fit_lines(
     centre = np.zeros(BATCH, np.float32)
     state = np.zeros(BATCH, np.int64)
     clipped = np.zeros(BATCH, np.int64)
-    inverse_gain = np.float32(1.0 / gain_e)
-    noise = np.float32(variance)
+    window = _Window(y, known, clipped, half, centre)
+    inverse_gain = np.float32(1.0 / camera.gain_e)
+    noise = np.float32(camera.variance)
     reach, wing = NEAR, NEAR
     for start in range(0, count, BATCH):
         # 1. Windows and first values, from what stands above half of the peak; lines near by are as wide as the last.
         reach = min(reach, max(NEAR, wing + 1))
         while True:
-            _gather(pixels, dark, layout, place, start, reach, saturation, y, known, clipped, half, centre)
+            _gather(lines, place, start, reach, window)
             for m in range(BATCH):
                 low_left[m] = 1e9
                 low_right[m] = 1e9
@@ -152,9 +153,10 @@ def fit_lines(
             if any_clipped:
                 for m in range(BATCH):
                     if clipped[m]:
+                        offset = place[start + m] - reach
                         _impute(
-                            pixels, dark, layout, start + m, place[start + m] - reach, begin, end, saturation,
-                            p[m], s[m], a[m], b[m], inverse_gain, noise, y, known, m,
+                            lines, window, m, (start + m, offset), (begin, end), (p[m], s[m], a[m], b[m]),
+                            (inverse_gain, noise),
                         )  # fmt: skip
             for t in range(10):
                 for m in range(BATCH):
@@ -262,11 +264,10 @@ def bell(uu: Single) -> Single:
 
 
 @compiled
-def _gather(
-    pixels: Pixels, dark: Pixels, layout: Layout, place: NDArray[np.int32], start: int, reach: int, saturation: float,
-    y: Lanes, known: Lanes, clipped: NDArray[np.int64], low: Lanes, high: Lanes,
-) -> None:  # fmt: skip
+def _gather(lines: Lines, place: NDArray[np.int32], start: int, reach: int, window: _Window) -> None:
     """Pixels of sixteen lines within ``reach`` of their places; ``known`` is 0 where there are none."""
+    pixels, dark, layout, saturation = lines
+    y, known, clipped, low, high = window
     count, length, line_step, pixel_step = layout
     has_dark = dark.size > 0
     for m in range(BATCH):
@@ -296,10 +297,22 @@ def _gather(
 
 @compiled
 def _impute(
-    pixels: Pixels, dark: Pixels, layout: Layout, i: int, offset: int, begin: int, end: int, saturation: float,
-    p: Single, s: Single, a: Single, b: Single, inverse_gain: Single, noise: Single, y: Lanes, known: Lanes, m: int,
-) -> None:  # fmt: skip
-    """Give clipped pixels the value and the weight with which least squares has the censored score and curvature."""
+    lines: Lines,
+    window: _Window,
+    m: int,
+    corner: tuple[int, int],
+    span: tuple[int, int],
+    profile: tuple[Single, Single, Single, Single],
+    camera: tuple[Single, Single],
+) -> None:
+    """Give clipped pixels the value and the weight with which least squares has the censored score and curvature.
+
+    Lane ``m`` holds the line and the first pixel of ``corner``; looked at are the places ``span`` of the window. ``profile``
+    is position in the window, sigma, amplitude and floor; ``camera`` 1 / gain and the variance of a dark pixel.
+    """
+    pixels, dark, layout, saturation = lines
+    y, known = window.y, window.known
+    (i, offset), (begin, end), (p, s, a, b), (inverse_gain, noise) = corner, span, profile, camera
     for k in range(begin, end):
         at = i * layout[2] + (offset + k) * layout[3]
         if known[k, m] == 0.0 or pixels[at] < saturation:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,23 +51,25 @@ PULL = 1.2  # shift of a cut Gaussian over its loss of width: 1.0 for a cut at 2
 LEAN = 2.0  # shift of the maximum likelihood position over sigma times asymmetry, in round numbers
 
 
+class Limits(NamedTuple):
+    """What a line must keep to have an answer."""
+
+    threshold: float  # grey levels above the background
+    saturation: float  # grey levels
+    narrowest: float  # px, one sigma
+    widest: float  # px, one sigma
+    two_peaks: float  # share of the peak
+    edge: float  # asymmetry
+
+
 @compiled
-def judge(
-    table: Array,
-    peaks: NDArray[np.int32],
-    threshold: float,
-    saturation: float,
-    narrowest: float,
-    widest: float,
-    two_peaks: float,
-    edge: float,
-    reason: Codes,
-) -> None:
+def judge(table: Array, peaks: NDArray[np.int32], limits: Limits, reason: Codes) -> None:
     """Give every line a reason and strike out the lines that have no answer.
 
     ``table`` (ROWS, N) is changed in place: sigma grows with the misfit of the profile and by the shift that its
     asymmetry allows; lines without an answer become NaN. ``reason`` (N,) receives the codes.
     """
+    threshold, saturation, narrowest, widest, two_peaks, edge = limits
     for i in range(table.shape[1]):
         state, peak, width = table[STATE, i], table[PEAK, i], table[WIDTH, i]
         top, second = np.float64(peaks[1, i]), np.float64(peaks[2, i])

@@ -14,27 +14,18 @@ import numpy as np
 
 from calibration.compiled import compiled
 from calibration.geometry import Array
-from ranging.stripe._peak_kernels import Pixels
-from ranging.stripe._table import DIVERGED, GOOD, PEAK, POSITION, SIGMA, STATE, Layout
+from ranging.stripe._table import DIVERGED, GOOD, PEAK, POSITION, SIGMA, STATE, CameraNoise, Lines
 
 STEEPEST = 0.25  # least share of the normal that lies across the line: a stripe within 14 degrees of the line has none
 
 
 @compiled
-def ridge_lines(
-    pixels: Pixels,
-    dark: Pixels,
-    layout: Layout,
-    scale: float,
-    gain_e: float,
-    variance: float,
-    table: Array,
-) -> None:
+def ridge_lines(lines: Lines, scale: float, camera: CameraNoise, table: Array) -> None:
     """Replace positions and sigmas of ``table`` by those of the ridge at ``scale`` px.
 
     A line whose neighbourhood leaves the image, or whose ridge runs nearly along the line, becomes DIVERGED.
     """
-    count, length, line_step, pixel_step = layout
+    pixels, dark, (count, length, line_step, pixel_step), _ = lines
     has_dark = dark.size > 0
     reach = math.ceil(3.0 * scale)
     size = 2 * reach + 1
@@ -54,9 +45,8 @@ def ridge_lines(
             if not 0.0 <= position < length:
                 break
             centre = int(position + 0.5)
-            for k in range(
-                size
-            ):  # about the position itself: one step from the middle of a pixel errs by up to 0.05 px
+            # about the position itself: one step from the middle of a pixel errs by up to 0.05 px
+            for k in range(size):
                 u = (k - reach + centre - position) / scale
                 c0[k] = math.exp(-0.5 * u * u) / (scale * 2.5066282746310002)
                 c1[k] = u / scale * c0[k]
@@ -99,7 +89,7 @@ def ridge_lines(
                     for k in range(size):
                         weight = na * g1[m] * g0[k] + nc * g0[m] * g1[k]
                         bright = table[PEAK, i] * math.exp(-0.5 * (((k - reach) * nc + (m - reach) * na) / scale) ** 2)
-                        noise += weight * weight * (variance + bright / gain_e)
+                        noise += weight * weight * (camera.variance + bright / camera.gain_e)
                 table[POSITION, i] = position
                 table[SIGMA, i] = math.sqrt(noise) / abs(curvature * nc)
                 done = True

@@ -23,8 +23,7 @@ from calibration.compiled import compiled
 from calibration.geometry import Array
 from ranging.background import Noise
 from ranging.stripe._gaussian import FAR, LONGEST
-from ranging.stripe._peak_kernels import Pixels
-from ranging.stripe._table import FLOOR, GOOD, PEAK, POSITION, SIGMA, STATE, WIDTH, Layout
+from ranging.stripe._table import FLOOR, GOOD, PEAK, POSITION, SIGMA, STATE, WIDTH, CameraNoise, Lines
 
 GRAINS = (0.3, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # px, trial values of the correlation length
 LAGS = 5  # px, farthest products of residuals that are looked at
@@ -44,24 +43,16 @@ class Speckle:
 
 @compiled
 def refit_lines(
-    pixels: Pixels,
-    dark: Pixels,
-    layout: Layout,
-    gain_e: float,
-    variance: float,
-    contrast: Array,
-    grain: float,
-    saturation: float,
-    usual_width: Array,
-    table: Array,
+    lines: Lines, camera: CameraNoise, contrast: Array, grain: float, usual_width: Array, table: Array
 ) -> None:
     """Fit the lines that are GOOD in ``table`` and have a ``contrast`` (N,) again, under the covariance of speckle.
 
     A grain can pass for a narrow stripe: where the width is less than two thirds of the ``usual_width`` (N,) px, the
     line starts anew from the centre of mass of the usual width. Lines with clipped pixels keep their fit. Sigma becomes
-    that of the covariance S.
+    that of the covariance S. Longer than a screen: each step of the loop works on the whitened rows of the one before.
     """
-    count, length, line_step, pixel_step = layout
+    pixels, dark, (count, length, line_step, pixel_step), saturation = lines
+    gain_e, variance = camera
     has_dark = dark.size > 0
     most = LONGEST
     y = np.empty(most)
@@ -202,13 +193,13 @@ class Leftover:
     width: float  # px, median
 
 
-def leftover(pixels: Pixels, dark: Pixels, layout: Layout, table: Array, saturation: float) -> Leftover | None:
+def leftover(lines: Lines, table: Array) -> Leftover | None:
     """Amplitude, width and floor of every line are replaced by their running medians; the position stays its own.
 
     Lines whose peak stands alone show no stripe: the highest pixel of a dark line is anywhere, and its fit tells of the noise
     of maxima. Lines of far more than the usual residual lie at an edge, and are no speckle. ``None`` where fewer than ``LEAST_LINES`` lines are usable.
     """
-    _, length, line_step, pixel_step = layout
+    pixels, dark, (_, length, line_step, pixel_step), saturation = lines
     good = np.flatnonzero((table[STATE] == GOOD) & (table[PEAK] > 0) & np.isfinite(table[SIGMA]) & _goes_on(table))
     if len(good) < LEAST_LINES:
         return None

@@ -2,11 +2,30 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, NamedTuple, TypeAlias
+
+from numpy.typing import NDArray
 
 # Number of lines, pixels of a line, steps in memory to the next line and to the next pixel: one compilation serves
 # stripes along rows and along columns.
 Layout: TypeAlias = tuple[int, int, int, int]
+
+
+class Lines(NamedTuple):
+    """An image as lines across the stripe."""
+
+    pixels: NDArray[Any]  # flat, uint8 or uint16
+    dark: NDArray[Any]  # flat, likewise; empty where no laser-off image is subtracted
+    layout: Layout
+    saturation: float  # level from which a pixel is clipped
+
+
+class CameraNoise(NamedTuple):
+    """Photon transfer: a pixel of m grey levels varies by ``variance`` + m / ``gain_e``."""
+
+    gain_e: float  # electrons a grey level
+    variance: float  # of a dark pixel, grey levels squared
+
 
 # Rows of the table: px, px, px, grey levels, grey levels, -, -, -, pixels, a state.
 POSITION, SIGMA, WIDTH, PEAK, FLOOR, ASYMMETRY, ASYMMETRY_SIGMA, MISFIT, CLIPPED, STATE = range(10)

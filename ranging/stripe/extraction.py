@@ -14,7 +14,6 @@ from calibration.geometry import Array, Codes
 from ranging.background import Image, Noise, check_image, saturation_level, typical_noise
 from ranging.errors import RangingError
 from ranging.stripe import _table as t
-from ranging.stripe._table import Layout
 
 Along = Literal["rows", "columns"]
 Method = Literal["auto", "centroid", "gaussian", "ridge"]
@@ -125,11 +124,11 @@ def extract(
     dark = np.ascontiguousarray(background) if background is not None else image[:0]
     peaks = _peaks(image, dark, has_dark, along, int(np.ceil(2.5 * options.maximum_width)))
     rows, columns = image.shape
-    view = _View(
+    view = t.Lines(
         pixels=image.ravel(),
         dark=dark.ravel(),
         layout=(rows, columns, columns, 1) if along == "columns" else (columns, rows, 1, columns),
-        saturation=saturation_level(image.dtype) if options.saturation is None else options.saturation,
+        saturation=float(saturation_level(image.dtype) if options.saturation is None else options.saturation),
     )
     measure = _METHODS[options.method]
     noise = _known_noise(options)
@@ -169,16 +168,6 @@ def estimate_noise(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _View:
-    """An image as lines across the stripe."""
-
-    pixels: Image  # flat
-    dark: Image  # flat; empty where no laser-off image is subtracted
-    layout: Layout
-    saturation: int
-
-
 def _threshold(options: StripeOptions, noise: Noise) -> float:
     """Least peak above the background, grey levels."""
     if options.threshold is not None:
@@ -201,13 +190,13 @@ def _looks_speckled(table: Array, threshold: float) -> bool:
 
 
 def _learn(
-    view: _View, peaks: NDArray[np.int32], table: Array, noise: Noise | None, options: StripeOptions
+    view: t.Lines, peaks: NDArray[np.int32], table: Array, noise: Noise | None, options: StripeOptions
 ) -> tuple[Noise, float]:
     """Noise and speckle of this frame; ``table`` is improved by what they tell. Returns the noise and the contrast."""
     from ranging.stripe import _speckle as stripe_speckle
 
     guess = noise or typical_noise(view.saturation)
-    found = stripe_speckle.leftover(view.pixels, view.dark, view.layout, table, float(view.saturation))
+    found = stripe_speckle.leftover(view, table)
     if found is None:
         return guess, 0.0
     learnt, speckle = stripe_speckle.analyse(found, noise)
@@ -224,10 +213,8 @@ def _learn(
     if not contrast.any():
         return learnt, 0.0
     before = table[t.SIGMA].copy()
-    stripe_speckle.refit_lines(
-        view.pixels, view.dark, view.layout, learnt.gain_e, learnt.read_noise**2 + 1 / 12, contrast, speckle.grain,
-        float(view.saturation), stripe_speckle.usual_widths(table), table,
-    )  # fmt: skip
+    widths = stripe_speckle.usual_widths(table)
+    stripe_speckle.refit_lines(view, _camera(learnt), contrast, speckle.grain, widths, table)
     clipped = (table[t.CLIPPED] > 0) & (contrast > 0)  # these keep their fit, but are no better than their neighbours
     if clipped.any():
         others = (table[t.SIGMA] / before)[~clipped & (contrast > 0)]
@@ -238,18 +225,18 @@ def _learn(
 
 
 def _stripe(
-    along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, contrast: float, view: _View,
+    along: Along, table: Array, peaks: NDArray[np.int32], noise: Noise, contrast: float, view: t.Lines,
     options: StripeOptions,
 ) -> Stripe:  # fmt: skip
     """Judge the lines of a table and hand over its answers."""
-    from ranging.stripe._judgement import compare, darken, judge, part_mixed, stretches
+    from ranging.stripe._judgement import Limits, compare, darken, judge, part_mixed, stretches
 
     reason = np.empty(table.shape[1], np.uint8)
     threshold = _threshold(options, noise)
-    judge(
-        table, peaks, threshold, float(view.saturation), options.minimum_width, options.maximum_width,
-        options.two_peaks, options.edge, reason,
-    )  # fmt: skip
+    limits = Limits(
+        threshold, view.saturation, options.minimum_width, options.maximum_width, options.two_peaks, options.edge
+    )
+    judge(table, peaks, limits, reason)
     darken(view.pixels, view.dark, view.layout, peaks, threshold, reason)
     part_mixed(table, reason)
     if options.neighbours:
@@ -284,17 +271,20 @@ def _peaks(image: Image, dark: Image, has_dark: bool, along: Along, half: int) -
     return out
 
 
-def _gaussian(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
+def _camera(noise: Noise) -> t.CameraNoise:
+    return t.CameraNoise(float(noise.gain_e), float(noise.read_noise**2 + 1 / 12))  # of rounding, the twelfth
+
+
+def _gaussian(view: t.Lines, place: NDArray[np.int32], noise: Noise) -> Array:
     """Maximum likelihood of a Gaussian profile: at the bound of Cramer and Rao for shot and read noise."""
     from ranging.stripe._gaussian import fit_lines
 
     table = np.empty((t.ROWS, view.layout[0]))
-    variance = noise.read_noise**2 + 1 / 12
-    fit_lines(view.pixels, view.dark, view.layout, place, noise.gain_e, variance, float(view.saturation), table)
+    fit_lines(view, place, _camera(noise), table)
     return table
 
 
-def _centroid(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
+def _centroid(view: t.Lines, place: NDArray[np.int32], noise: Noise) -> Array:
     """Centre of mass, as a reference."""
     from ranging.stripe._centroid import centroid_lines
 
@@ -303,18 +293,18 @@ def _centroid(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
     return table
 
 
-def _ridge(view: _View, place: NDArray[np.int32], noise: Noise) -> Array:
+def _ridge(view: t.Lines, place: NDArray[np.int32], noise: Noise) -> Array:
     """Ridge of the smoothed image, across which the brightness falls fastest: for tilted and curved stripes."""
     from ranging.stripe._ridge import ridge_lines
 
     table = _gaussian(view, place, noise)
     width = table[t.WIDTH][np.isfinite(table[t.WIDTH])]
     scale = min(max(float(np.median(width)) if len(width) else 1.5, 0.8), 6.0)
-    ridge_lines(view.pixels, view.dark, view.layout, scale, noise.gain_e, noise.read_noise**2 + 1 / 12, table)
+    ridge_lines(view, scale, _camera(noise), table)
     return table
 
 
-_METHODS: dict[str, Callable[[_View, NDArray[np.int32], Noise], Array]] = {
+_METHODS: dict[str, Callable[[t.Lines, NDArray[np.int32], Noise], Array]] = {
     "auto": _gaussian,
     "gaussian": _gaussian,
     "centroid": _centroid,
@@ -322,7 +312,7 @@ _METHODS: dict[str, Callable[[_View, NDArray[np.int32], Noise], Array]] = {
 }
 
 
-def _choose(view: _View, which: Which, threshold: float) -> NDArray[np.int32]:
+def _choose(view: t.Lines, which: Which, threshold: float) -> NDArray[np.int32]:
     """Places (lines,) of the peaks that were asked for; -1 where a line has none."""
     from ranging.stripe import _candidates as stripe_peaks
 

@@ -348,8 +348,6 @@ def test_a_fit_that_ran_away_is_left_alone(place: float) -> None:
     table = np.ones((rows, 8))
     table[stripe_table.STATE] = stripe_table.GOOD
     table[stripe_table.POSITION] = place
-    layout = (8, 64, 64, 1)
-    stripe_speckle.refit_lines(
-        image.ravel(), image.ravel()[:0], layout, 35.0, 1.5, np.full(8, 0.3), 1.0, 255.0, np.ones(8), table
-    )
+    lines = stripe_table.Lines(image.ravel(), image.ravel()[:0], (8, 64, 64, 1), 255.0)
+    stripe_speckle.refit_lines(lines, stripe_table.CameraNoise(35.0, 1.5), np.full(8, 0.3), 1.0, np.ones(8), table)
     assert np.array_equal(table[stripe_table.POSITION], np.full(8, place), equal_nan=True)
