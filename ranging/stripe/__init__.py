@@ -5,8 +5,8 @@ Out: `Stripe`: position, sigma, width, peak of every line, NaN with a `Reason` w
 Read: extraction, channel.
 """
 
-from ranging.stripe._peak_kernels import Pixels
+from ranging.stripe._table import Lines
 from ranging.stripe.channel import best_channel
 from ranging.stripe.extraction import Along, Stripe, StripeOptions, extract, find_along
 
-__all__ = ["Along", "Pixels", "Stripe", "StripeOptions", "best_channel", "extract", "find_along"]
+__all__ = ["Along", "Lines", "Stripe", "StripeOptions", "best_channel", "extract", "find_along"]

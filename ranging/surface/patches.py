@@ -10,7 +10,7 @@ neighbourhood is no quadratic, since an edge cuts it, may still lie on one of th
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -43,17 +43,34 @@ SMOOTH = 2.5  # chi squared a degree of freedom: beyond, the surface is not a qu
 NEAREST = 3  # strides, to the middle of a patch beside a point that has no part in it
 
 
+class Surface(NamedTuple):
+    """A scan on its lattice, as patches are fitted to it; all in the cloud frame."""
+
+    points: Array  # (F, L, 3) mm
+    rays: Array  # (F, L, 3) unit, away from the camera
+    moved: Array  # (F, L, 3) mm/px, of a point's ray when its pixel moves across the stripe
+    sheet: Array  # (F, L, 3) unit normals of the sheet of light
+    camera: Array  # (F, 3) mm
+    sigma: Array  # (F, L) mm along the rays, NaN where there is no point
+    light: Array  # (F, L) logarithm of the light on the line
+
+
+class Patches(NamedTuple):
+    """Patches of one stride, each fitted when it is first asked for."""
+
+    stride: tuple[int, int]  # frames, lines
+    rows: Array  # (F, L, PATCH)
+    fitted: Bools  # (F, L)
+
+
 @compiled
-def fit_patch(
-    points: Array, view: Array, sigma: Array, light: Array, stride: tuple[int, int], f: int, i: int, row: Row
-) -> None:  # fmt: skip
+def fit_patch(scan: Surface, stride: tuple[int, int], f: int, i: int, row: Row) -> None:
     """Quadratic about the point of frame ``f`` and line ``i``, by least squares on the lattice.
 
-    ``points`` (F, L, 3) mm in the cloud frame, ``view`` (F, L, 3) unit rays, ``sigma`` (F, L) mm along them, NaN where there
-    is no point, ``light`` (F, L) the logarithm of the light on the line; ``row`` (PATCH,) receives the answers, CHI NaN where
-    one of the 25 points is missing. On a grid the polynomials 1, a, b, a^2 - 2, a b, b^2 - 2 are orthogonal, so that each
-    coefficient is a sum.
+    ``row`` (PATCH,) receives the answers, CHI NaN where one of the 25 points is missing. On a grid the polynomials
+    1, a, b, a^2 - 2, a b, b^2 - 2 are orthogonal, so that each coefficient is a sum.
     """
+    points, rays, _, _, _, sigma, light = scan
     frames, lines = sigma.shape
     row[CHI] = np.nan
     if not sigma[f, i] > 0.0:
@@ -62,7 +79,7 @@ def fit_patch(
         return
     if i - HALF * stride[1] < 0 or i + HALF * stride[1] >= lines:
         return
-    e = _vector(view[f, i])
+    e = _vector(rays[f, i])
     o = _vector(points[f, i])
     s0 = s1 = s2 = a0 = a1 = a2 = b0 = b1 = b2 = 0.0
     aa0 = aa1 = aa2 = ab0 = ab1 = ab2 = bb0 = bb1 = bb2 = 0.0
@@ -109,28 +126,23 @@ def fit_patch(
 
 
 @compiled
-def fit_patches(
-    points: Array, view: Array, moved: Array, sheet: Array, camera: Array, sigma: Array, light: Array,
-    stride: tuple[int, int], first: int, last: int, patches: Array, fitted: Bools, own: float, table: Array,
-) -> None:  # fmt: skip
+def fit_patches(scan: Surface, kept: Patches, first: int, last: int, own: float, table: Array) -> None:
     """What the surface does across the stripe at every point of frames ``first`` to ``last`` - 1.
 
     Parameters
     ----------
-    points, view, moved, sheet : (F, L, 3) arrays
-        mm; unit rays, away from the camera; mm/px, of a point's ray when its pixel moves across the stripe; unit
-        normals of the sheet of light. In the cloud frame, as all that follows.
-    camera : (F, 3) array, mm
-    sigma, light : (F, L) arrays
-        mm; the logarithm of the light on the line.
-    patches, fitted : (F, L, PATCH) and (F, L) arrays
-        Patches of this stride, and which of them are there: each is fitted when it is first asked for.
+    scan : Surface
+    kept : Patches
+        Those of this stride.
     own : float
         What OWN becomes of points whose own patch is smooth; 0: the others are to borrow one.
     table : (last - first, L, COLUMNS) array
-        Receives the answers; rows that already have a smooth patch stay as they are. MISFIT says how good the patch is: where the point's own patch
-        is not `SMOOTH`, a smooth patch beside it is taken, of eight the one that the point is nearest to.
+        Receives the answers; rows that already have a smooth patch stay as they are. MISFIT says how good the patch
+        is: where the point's own patch is not `SMOOTH`, a smooth patch beside it is taken, of eight the one that the
+        point is nearest to.
     """
+    points, rays, moved, sheet, camera, sigma, _ = scan
+    stride, patches, fitted = kept
     frames, lines = sigma.shape
     for f in range(first, last):
         for i in range(lines):
@@ -140,7 +152,7 @@ def fit_patches(
             best_a, best_b = 0, 0
             away = 0.0
             if not fitted[f, i]:
-                fit_patch(points, view, sigma, light, stride, f, i, patches[f, i])
+                fit_patch(scan, stride, f, i, patches[f, i])
                 fitted[f, i] = True
             if not patches[f, i, CHI] < SMOOTH:
                 if own > 0.0:
@@ -155,11 +167,11 @@ def fit_patches(
                             if (a * b != 0) != corners or g < 0 or g >= frames or j < 0 or j >= lines:
                                 continue
                             if not fitted[g, j]:
-                                fit_patch(points, view, sigma, light, stride, g, j, patches[g, j])
+                                fit_patch(scan, stride, g, j, patches[g, j])
                                 fitted[g, j] = True
                             if not patches[g, j, CHI] < SMOOTH:
                                 continue
-                            point, ray = _vector(points[f, i]), _vector(view[f, i])
+                            point, ray = _vector(points[f, i]), _vector(rays[f, i])
                             gap = _away(patches[g, j], point, ray, -a, -b, sigma[f, i], sigma[g, j])
                             if abs(gap) < abs(nearest):
                                 nearest, best_a, best_b = gap, a, b
@@ -170,10 +182,8 @@ def fit_patches(
             g, j = f + best_a * stride[0], i + best_b * stride[1]
             row[MISFIT] = patches[g, j, CHI]
             row[AWAY], row[OWN] = away, own
-            _optics(
-                patches[g, j], -best_a, -best_b, _vector(view[f, i]), _vector(moved[f, i]), _vector(sheet[f, i]),
-                _between(camera[f], points[f, i]), sigma[f, i], row,
-            )  # fmt: skip
+            at = _vector(rays[f, i]), _vector(moved[f, i]), _vector(sheet[f, i]), _between(camera[f], points[f, i])
+            _optics(patches[g, j], (-best_a, -best_b), at, sigma[f, i], row)
 
 
 @compiled
@@ -196,15 +206,19 @@ def _away(patch: Row, point: Vector, ray: Vector, a: int, b: int, sigma: float, 
 
 @compiled
 def _optics(
-    patch: Row, a: int, b: int, ray: Vector, shift: Vector, sheet: Vector, sight: Vector, sigma: float, row: Row
-) -> None:  # fmt: skip
+    patch: Row, strides: tuple[int, int], at: tuple[Vector, Vector, Vector, Vector], sigma: float, row: Row
+) -> None:
     """Motion X' and X'' of the point that a pixel sees as it moves across the stripe, and how its light changes.
+
+    The point lies ``strides`` from the middle of the patch; ``at`` it are the ray, its shift by a pixel across the stripe,
+    the normal of the sheet, and the way from the camera.
 
     X stays on the patch, whose second fundamental form tells the part of X'' along the normal, and on a ray that turns
     evenly about the camera, which tells the rest: X'' = (2 rho' / rho) m + lambda ray, with rho the distance and m the
     ray's shift square to itself. The light M on a line is radiance times width, w / |n . X'|; as the stripe moves on over
     the surface its normal turns, and with it n . X' by (n . ray) II(X', X') / (N . ray).
     """
+    (a, b), (ray, shift, sheet, sight) = strides, at
     u = (
         patch[BY_F] + a * patch[BY_FF] + b * patch[BY_FL],
         patch[BY_F + 1] + a * patch[BY_FF + 1] + b * patch[BY_FL + 1],

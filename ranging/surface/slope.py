@@ -135,12 +135,12 @@ def _surfaces(lattice: Lattice, first: int, last: int, moves: bool) -> Array:
     strides = list(dict.fromkeys((wide, (wide[0], half[1]), half, (1, 1))))
     patches = [np.empty((frames, lines, surface.PATCH)) for _ in strides]
     fitted = [np.zeros((frames, lines), dtype=bool) for _ in strides]
+    scan = surface.Surface(
+        lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, glow
+    )
     owns = [(k, 1.0 if k == 0 else 0.5) for k in range(len(strides))]
     for k, own in [*owns, *((k, 0.0) for k in reversed(range(len(strides))))]:
-        surface.fit_patches(
-            lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, glow, strides[k],
-            first, last, patches[k], fitted[k], own, table,
-        )  # fmt: skip
+        surface.fit_patches(scan, surface.Patches(strides[k], patches[k], fitted[k]), first, last, own, table)
     return table
 
 
@@ -152,15 +152,16 @@ def displacement(
     (F, L) px each; NaN where first order does not hold.
     """
     found = np.empty((4, *width.shape))
-    _displace(table, course, width, blur, lattice.peak, lattice.noise, skews(), *found)
+    _displace(table, (course, width, lattice.peak), blur, lattice.noise, skews(), found)
     return found[0], found[1], found[2], found[3]
 
 
 @compiled
 def _displace(
-    table: Array, course: Array, width: Array, blur: float, peak: Array, camera: Array, answers: Array,
-    profile: Array, passage: Array, beside: Array, noise: Array,
-) -> None:  # fmt: skip
+    table: Array, stripe: tuple[Array, Array, Array], blur: float, camera: Array, answers: Array, found: Array
+) -> None:
+    course, width, peak = stripe
+    profile, passage, beside, noise = found[0], found[1], found[2], found[3]
     for f in range(width.shape[0]):
         gain, dark, speckle = camera[f, 0], camera[f, 1], camera[f, 2]
         for i in range(width.shape[1]):

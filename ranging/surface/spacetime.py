@@ -16,13 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from calibration.compiled import compiled
 from calibration.geometry import Array, Bools, Ints, Pose
 from ranging.background import Image
-from ranging.stripe import Pixels
+from ranging.stripe import Lines
 from ranging.surface.lattice import Lattice
 
 REACH = 5  # frames before and after that a point is followed through
@@ -95,10 +96,9 @@ def follow_points(
                 _watch(lattice, f, own, other, lines, seen[:, :, slot])
         noise = lattice.noise[f]
         answers = np.full((3, len(lines)), np.nan)
-        fit_passages(
-            seen[0], seen[1] - own.floor[lines, None], seen[2], lattice.peak[f, lines], width[row, lines],
-            float(noise[0]), float(noise[1]), float(noise[2]), answers,
-        )  # fmt: skip
+        samples = (seen[0], seen[1] - own.floor[lines, None], seen[2])
+        camera = (float(noise[0]), float(noise[1]), float(noise[2]))
+        fit_passages(samples, lattice.peak[f, lines], width[row, lines], camera, answers)
         offset[row, lines], sigma[row, lines], misfit[row, lines] = answers
     return Passages(offset, sigma, misfit)
 
@@ -108,27 +108,39 @@ def _watch(lattice: Lattice, f: int, own: Timeframe, other: Timeframe, lines: In
     image = other.image
     rows, columns = image.shape
     layout = (columns, rows, 1, columns) if own.along == "rows" else (rows, columns, columns, 1)
+    dark = image.ravel()[:0] if other.dark is None else other.dark.ravel()
     watch(
-        image.ravel(), image.ravel()[:0] if other.dark is None else other.dark.ravel(), layout, other.saturation, lines,
-        lattice.points[f], lattice.view[f], lattice.moved[f], own.slide, lattice.sheet[f], lattice.position[f],
-        turn, own.cloud_from_c.translation, other.cloud_from_c.translation, seen,
-    )  # fmt: skip
+        Lines(image.ravel(), dark, layout, float(other.saturation)),
+        lines,
+        _Points(lattice.points[f], lattice.view[f], lattice.moved[f], own.slide, lattice.sheet[f], lattice.position[f]),
+        (turn, own.cloud_from_c.translation, other.cloud_from_c.translation),
+        seen,
+    )
+
+
+class _Points(NamedTuple):
+    """The points of one frame, in the cloud frame."""
+
+    points: Array  # (L, 3) mm
+    rays: Array  # (L, 3) unit
+    moved: Array  # (L, 3) mm/px, of the ray when its pixel moves across the stripe
+    slide: Array  # (L, 3) mm/px, likewise along it
+    sheet: Array  # (L, 3) unit normals of the sheet
+    position: Array  # (L,) px
 
 
 @compiled
-def watch(
-    pixels: Pixels, dark: Pixels, layout: tuple[int, int, int, int], saturation: float, lines: Ints, points: Array,
-    view: Array, moved: Array, slide: Array, sheet: Array, position: Array, turn: Array, here: Array, there: Array,
-    seen: Array,
-) -> None:  # fmt: skip
-    """What another frame shows of some points of a frame.
+def watch(other: Lines, lines: Ints, own: _Points, motion: tuple[Array, Array, Array], seen: Array) -> None:
+    """What another frame shows of the points on some lines of a frame.
 
-    Points and directions (L, 3) are in the cloud frame; ``turn`` (3, 3), ``here`` and ``there`` (3,) put a point where the
-    object was in the other frame, in axes of this one: turn (x - there) - (x - here) is its motion. The point's pixel
-    moves along ``moved`` and ``slide``, and what is left along its ray does not show. ``seen`` (3, n) receives the
-    distance that the point has moved off the sheet, its light, and the variance of the light over that of a pixel.
+    ``motion``, turn (3, 3), here and there (3,), puts a point where the object was in the other frame, in axes of this
+    one: turn (x - there) - (x - here). The point's pixel moves along ``moved`` and ``slide``, and what is left along its
+    ray does not show. ``seen`` (3, n) receives the distance that the point has moved off the sheet, its light, and the
+    variance of the light over that of a pixel.
     """
-    count, length, line_step, pixel_step = layout
+    pixels, dark, (count, length, line_step, pixel_step), saturation = other
+    points, rays, moved, slide, sheet, position = own
+    turn, here, there = motion
     taps = np.zeros(3)
     for k in range(len(lines)):
         i = lines[k]
@@ -138,7 +150,7 @@ def watch(
             for c in range(3):
                 d[r] += turn[r, c] * (points[i, c] - there[c])
         off = d[0] * sheet[i, 0] + d[1] * sheet[i, 1] + d[2] * sheet[i, 2]
-        m, s, v = moved[i], slide[i], view[i]
+        m, s, v = moved[i], slide[i], rays[i]
         sv0, sv1, sv2 = s[1] * v[2] - s[2] * v[1], s[2] * v[0] - s[0] * v[2], s[0] * v[1] - s[1] * v[0]
         vm0, vm1, vm2 = v[1] * m[2] - v[2] * m[1], v[2] * m[0] - v[0] * m[2], v[0] * m[1] - v[1] * m[0]
         volume = m[0] * sv0 + m[1] * sv1 + m[2] * sv2
@@ -172,14 +184,19 @@ def watch(
 
 @compiled
 def fit_passages(
-    distance: Array, light: Array, factor: Array, peak: Array, width: Array, gain: float, dark: float, speckle: float,
+    samples: tuple[Array, Array, Array],
+    peak: Array,
+    width: Array,
+    camera: tuple[float, float, float],
     answers: Array,
-) -> None:  # fmt: skip
+) -> None:
     """Gaussians of the light (n, slots) over the distance that n points have moved off the sheet; NaN is no sample.
 
-    Weighted least squares for height, place and logarithm of the width, the last held near ``width`` (n,) by `GIVE`.
+    ``samples`` are distance, light, and its variance over that of a pixel; ``camera`` is gain, variance of a dark pixel
+    and contrast of the speckle. Weighted least squares for height, place and logarithm of the width, the last held near ``width`` (n,) by `GIVE`.
     ``answers`` (3, n) receives place, its standard deviation, and chi squared a degree of freedom.
     """
+    (distance, light, factor), (gain, dark, speckle) = samples, camera
     n, slots = distance.shape
     for i in range(n):
         a, o, w = peak[i], 0.0, width[i]

@@ -90,6 +90,12 @@ def sphere(
     return lattice, a
 
 
+def scan_of(lattice: Lattice, light: np.ndarray) -> surface.Surface:
+    return surface.Surface(
+        lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, light
+    )
+
+
 def test_a_sphere_leaves_the_sheet_bends_and_shades_as_its_geometry_says():
     lattice, a = sphere()
     u, along = grids()
@@ -97,10 +103,8 @@ def test_a_sphere_leaves_the_sheet_bends_and_shades_as_its_geometry_says():
     table = np.full((*u.shape, surface.COLUMNS), np.nan)
     light = np.log(lattice.peak * lattice.width)
     frames = len(u)
-    surface.fit_patches(
-        lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, light, (1, 2), 0,
-        frames, patches, np.zeros(u.shape, bool), 1.0, table,
-    )  # fmt: skip
+    kept = surface.Patches((1, 2), patches, np.zeros(u.shape, bool))
+    surface.fit_patches(scan_of(lattice, light), kept, 0, frames, 1.0, table)
     v, h = lattice.position, 0.05
     b = (leaving(u, v + h, along) - 2 * leaving(u, v, along) + leaving(u, v - h, along)) / h**2
     g = (np.log(radiance(u, v + h, along)) - np.log(radiance(u, v - h, along))) / (2 * h)
@@ -124,10 +128,8 @@ def test_the_noise_of_bending_and_shading_is_that_of_repeated_scans():
         light = np.log(lattice.peak * lattice.width) + 0.01 * rng.standard_normal(clean.sigma.shape)
         patches = np.full((*clean.sigma.shape, surface.PATCH), np.nan)
         table = np.full((6, clean.sigma.shape[1], surface.COLUMNS), np.nan)
-        surface.fit_patches(
-            lattice.points, lattice.view, lattice.moved, lattice.sheet, lattice.camera, lattice.sigma, light, (1, 2), 8,
-            14, patches, np.zeros(clean.sigma.shape, bool), 1.0, table,
-        )  # fmt: skip
+        kept = surface.Patches((1, 2), patches, np.zeros(clean.sigma.shape, bool))
+        surface.fit_patches(scan_of(lattice, light), kept, 8, 14, 1.0, table)
         row = table[:, 8:-8]
         found.append(row[..., surface.SHADING] - 1.5 * row[..., surface.BENDING] / row[..., surface.LEAVING])
         told.append(row[..., surface.NOISE])
