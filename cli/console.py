@@ -95,7 +95,7 @@ def say_unsealed(path: Path, *, quiet: bool) -> None:
     )
 
 
-def emit(result: dict[str, Any], *, as_json: bool, text: str) -> None:
+def emit(result: dict[str, Any] | list[dict[str, Any]], *, as_json: bool, text: str) -> None:
     """Print the result: JSON, or the text that a person reads."""
     typer.echo(json.dumps(plain(result), indent=1, allow_nan=False) if as_json else text)
 

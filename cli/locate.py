@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, say, user_errors
+from calibration.errors import ScopeError
+from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, progress, say, user_errors
 
 if TYPE_CHECKING:
     from scope.cloud import Region
+    from scope.pose import Sighted
 
 Where = Annotated[
     str | None, typer.Option("--region", help="box:x0,x1,y0,y1[,z0,z1], polygon:file or mesh:file; mm, cloud frame.")
@@ -26,8 +29,13 @@ def register(app: typer.Typer) -> None:
 
 
 def pose(
-    cloud: Annotated[Path, typer.Argument(help="Point cloud: PLY, PCD, XYZ, LAS or E57.")],
-    model: Annotated[Path, typer.Option("--model", "-m", help="Mesh of the part: STL, OBJ or PLY, mm.")],
+    clouds: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Point cloud: PLY, PCD, XYZ, LAS or E57; of several, each is answered.", metavar="CLOUD..."
+        ),
+    ],
+    model: Annotated[Path, typer.Option("--model", "-m", help="Mesh of the part: STL, OBJ, PLY, GLB, 3MF or STEP.")],
     region: Where = None,
     at: Annotated[
         str,
@@ -44,50 +52,90 @@ def pose(
         ),
     ] = None,
     deviation: Annotated[
-        Path | None, typer.Option("--deviation", help="PLY of the part's points with their distance from the model.")
+        Path | None,
+        typer.Option(
+            "--deviation",
+            help="PLY of the part's points with their distance from the model; {cloud} in it is the name of each cloud.",
+        ),
     ] = None,
     report: Report = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Find a known part in a scan: position, orientation and how sure they are; exit 3 where the answer is not sure."""
-    from calibration.atomic import require_folder, write_text
-    from scope.cloud import ScanCloud, unknown
-    from scope.pose import (
-        estimate_pose,
-        frame_of,
-        place,
-        pose_result,
-        pose_text,
-        read_robot_from_camera,
-        read_transform,
-        write_deviation,
-    )
-    from scope.report import pose_html
+    from calibration.atomic import require_folder
+    from scope.pose import BAD_DATA, poses_of, read_robot_from_camera, read_transform
 
     with user_errors():
-        require_folder(deviation, report)
+        with _usage():
+            outputs = _outputs(clouds, deviation, report)
+            within = _region(region)
+            if at not in {"last", "first"} and not at.isdecimal():
+                raise ValueError(f"--at {at!r} is neither last nor first nor the number of a frame")
+        require_folder(*(path for pair in outputs for path in pair))
         started = None if init is None else read_transform(init)
         robot = None if robot_from_camera is None else read_robot_from_camera(robot_from_camera)
         if robot is not None and robot.warning:
             say(f"warning: {robot.warning}", quiet=quiet)
-        scan = ScanCloud.load(cloud)
-        with _usage():
-            within = _region(region)
-            frame_of(scan, at)
-        result = estimate_pose(scan, model, region=within, initial=started)
-        placed = place(scan, result, at, robot)
-        if deviation is not None:
-            write_deviation(deviation, scan, result)
-            say(f"wrote {deviation}", quiet=quiet)
-        if report is not None:
-            write_text(report, pose_html(scan, placed))
-            say(f"wrote {report}", quiet=quiet)
-    if unread := unknown(scan, cloud.name):
-        say(unread, quiet=quiet)
-    emit(pose_result(placed), as_json=as_json, text=pose_text(placed))
-    if not result.found:
-        raise typer.Exit(EXIT_NOT_TO_BE_USED)
+        with progress("placing", quiet=quiet or len(clouds) == 1) as tick:
+            found = []
+            for each, files in zip(
+                poses_of(clouds, model, region=within, at=at, initial=started, robot=robot, on_cloud=tick), outputs,
+                strict=True,
+            ):  # fmt: skip
+                if len(clouds) == 1 and each.error:
+                    raise ScopeError(each.error)
+                _write(each, *files, alone=len(clouds) == 1, quiet=quiet)
+                found.append(replace(each, cloud=None))
+    _emit_poses(found, as_json=as_json)
+    statuses = {each.status for each in found}
+    if statuses != {0}:
+        raise typer.Exit(BAD_DATA if BAD_DATA in statuses else EXIT_NOT_TO_BE_USED)
+
+
+def _outputs(clouds: list[Path], *names: Path | None) -> list[tuple[Path | None, ...]]:
+    """Files to be written for each cloud; of several clouds, ``{cloud}`` in a name tells them apart."""
+    stems = [path.stem for path in clouds]
+    for name in names:
+        if name is not None and len(clouds) > 1:
+            if "{cloud}" not in name.name:
+                raise ValueError(
+                    f"{name}: there are {len(clouds)} clouds; give a name with {{cloud}} in it, such as {{cloud}}-{name.name}"
+                )
+            if len(set(stems)) < len(stems):
+                twice = next(stem for stem in stems if stems.count(stem) > 1)
+                raise ValueError(f"{name}: two clouds are called {twice}; rename one, or give them in two commands")
+    return [tuple(None if n is None else n.with_name(n.name.replace("{cloud}", stem)) for n in names) for stem in stems]
+
+
+def _write(each: Sighted, deviation: Path | None, report: Path | None, *, alone: bool, quiet: bool) -> None:
+    """Deviation and page of one cloud, and what it does not tell."""
+    from calibration.atomic import write_text
+    from scope.pose import write_deviation
+    from scope.report import pose_html
+
+    if each.cloud is None or each.placed is None:
+        return
+    if deviation is not None and not each.placed.result.candidates and not alone:
+        say(f"{deviation}: not written, since {each.path.name} has no pose to compare with", quiet=quiet)
+    elif deviation is not None:
+        write_deviation(deviation, each.cloud, each.placed.result)
+        say(f"wrote {deviation}", quiet=quiet)
+    if report is not None:
+        write_text(report, pose_html(each.cloud, each.placed))
+        say(f"wrote {report}", quiet=quiet)
+    if each.unread:
+        say(each.unread, quiet=quiet)
+
+
+def _emit_poses(found: list[Sighted], *, as_json: bool) -> None:
+    """One answer, or of several clouds a list and a table."""
+    from scope.pose import pose_result, pose_text, poses_table, sighted_result
+
+    if len(found) == 1 and found[0].placed is not None:
+        emit(pose_result(found[0].placed), as_json=as_json, text=pose_text(found[0].placed))
+    else:
+        emit([sighted_result(each) for each in found], as_json=as_json, text=poses_table(found))
 
 
 def check(

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from calibration.errors import FileError
 from calibration.geometry import Array, Bools, Ints, Pose
+from scope.mesh import load_mesh
 
 BESIDE = 0.1  # mm beside a triangle, at which a point still stands over it
 
@@ -63,21 +63,12 @@ class NearMesh:
 
 
 def read_mesh(path: Path, *, cloud_from_model: Pose | None = None) -> Mesh:
-    """Read a mesh (STL, PLY, OBJ) that stands where the surface stands in the cloud, or is put there by its pose.
+    """Read a mesh (STL, PLY, OBJ, GLB, 3MF, STEP) that stands where the surface stands in the cloud, or is put there by its pose.
 
     ``FileError`` where it cannot be read or has no triangles.
     """
-    import trimesh
-
-    try:
-        loaded = trimesh.load(path, force="mesh")
-    except (OSError, ValueError, KeyError, IndexError, NotImplementedError) as error:
-        raise FileError(f"{path}: could not be read as a mesh ({error}); give .stl, .ply or .obj") from error
-    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
-        raise FileError(f"{path}: holds no triangles; give the mesh of a surface")
+    loaded = load_mesh(path)
     vertices = np.asarray(loaded.vertices, dtype=np.float64)
-    if not np.isfinite(vertices).all():
-        raise FileError(f"{path}: some of its vertices are not finite; export it again")
     if cloud_from_model is not None:
         vertices = cloud_from_model.apply(vertices)
     return Mesh(vertices, np.asarray(loaded.faces, dtype=np.int64))

@@ -13,6 +13,7 @@ import numpy as np
 from calibration.atomic import written_whole
 from calibration.errors import FileError
 from calibration.geometry import Array, Ints, Pose
+from scope.mesh import KINDS, load_mesh
 from scope.model.grid import DistanceGrid
 from scope.model.model import Axis, Model, prepare_model
 
@@ -22,7 +23,7 @@ VERSION = "pose-model-2"  # change with anything that `prepare_model` makes
 
 
 def load_model(path: str | Path, *, cache: Path | None = None, use_cache: bool = True) -> Model:
-    """Read an STL, OBJ or PLY mesh (mm) and prepare it, or take what was prepared of the same content before.
+    """Read a mesh (STL, OBJ, PLY, GLB, 3MF, STEP) and prepare it, or take what was prepared of the same content before.
 
     Parameters
     ----------
@@ -44,9 +45,10 @@ def load_model(path: str | Path, *, cache: Path | None = None, use_cache: bool =
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise FileError(f"{path}: cannot be read ({error.strerror}); name an STL, OBJ or PLY mesh") from error
+        raise FileError(f"{path}: cannot be read ({error.strerror}); name an {KINDS} mesh") from error
     _require_few_faces(path, _announced_faces(path, content))
-    digest = hashlib.sha256(VERSION.encode() + content).hexdigest()
+    kind = "" if path.suffix.lower() in {".stl", ".obj", ".ply"} else path.suffix.lower()
+    digest = hashlib.sha256(VERSION.encode() + kind.encode() + content).hexdigest()
     folder = cache_folder() if cache is None else cache
     stored = folder / f"{digest}.npz"
     if use_cache and stored.is_file():
@@ -72,22 +74,8 @@ def cache_folder() -> Path:
 
 def read_mesh(path: Path) -> tuple[Array, Ints]:
     """Vertices (V, 3) mm and faces (F, 3), closed and outwards, of a mesh file; small holes are filled."""
-    import trimesh
-
-    if path.suffix.lower() not in {".stl", ".obj", ".ply"}:
-        raise FileError(f"{path}: ending {path.suffix!r} is not known; give an STL, OBJ or PLY mesh")
-    try:
-        mesh: Any = trimesh.load(path, force="mesh", process=True)
-    except (ValueError, IndexError, KeyError, TypeError, AttributeError, OSError) as error:
-        raise FileError(f"{path}: no mesh could be read from it ({error}); export it again as STL") from error
-    faces = getattr(mesh, "faces", None)
-    if faces is None or len(faces) == 0:
-        raise FileError(f"{path}: holds no triangles; a point cloud is no model: give an STL, OBJ or PLY mesh")
-    if not np.isfinite(mesh.vertices).all():
-        raise FileError(
-            f"{path}: {int((~np.isfinite(mesh.vertices)).any(axis=1).sum())} vertices are not finite; export it again"
-        )
-    _require_few_faces(path, len(faces))
+    mesh = load_mesh(path)
+    _require_few_faces(path, len(mesh.faces))
     return _closed(path, mesh)
 
 

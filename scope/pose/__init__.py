@@ -4,7 +4,7 @@ In: a cloud, with where camera and laser stood if it knows, and a `Model`.
 Out: `PoseResult`: cloud_from_model, covariance, runner-up and margin; refused where another pose explains as
     much.
 Read: placed, estimate, answer, segmentation, search, piece, visibility, decision, rim, borders, uncertainty,
-    wording.
+    wording, several.
 """
 
 from scope.pose.answer import PoseResult
@@ -12,14 +12,17 @@ from scope.pose.estimate import estimate_pose
 from scope.pose.placed import Placed, frame_of, place, read_robot_from_camera, read_transform, write_deviation
 from scope.pose.search import normals_of, thin
 from scope.pose.segmentation import largest_plane
+from scope.pose.several import BAD_DATA, Sighted, poses_of, poses_table, sighted_result
 from scope.pose.uncertainty import patches, shared_errors
 from scope.pose.visibility import sheet_and_window, viewpoints
 from scope.pose.wording import CONVENTION, notations_text, pose_json, pose_result, pose_text
 
 __all__ = [
+    "BAD_DATA",
     "CONVENTION",
     "Placed",
     "PoseResult",
+    "Sighted",
     "estimate_pose",
     "frame_of",
     "largest_plane",
@@ -30,10 +33,13 @@ __all__ = [
     "pose_json",
     "pose_result",
     "pose_text",
+    "poses_of",
+    "poses_table",
     "read_robot_from_camera",
     "read_transform",
     "shared_errors",
     "sheet_and_window",
+    "sighted_result",
     "thin",
     "viewpoints",
     "write_deviation",

@@ -227,7 +227,7 @@ class TestFiles:
         (tmp_path / "b.stl").write_bytes(b"solid nothing\nendsolid\n")
         with pytest.raises(FileError):
             read_mesh(tmp_path / "b.stl")
-        with pytest.raises(FileError, match="STL, OBJ or PLY"):
+        with pytest.raises(FileError, match="STL, OBJ, PLY, GLB, 3MF or STEP"):
             read_mesh(tmp_path / "b.step")
 
     def test_cache_gives_the_same_model_and_a_damaged_one_is_made_anew(self, tmp_path: Path) -> None:
