@@ -6,7 +6,7 @@ SciPy nor Open3D.
 In: files or arrays: images of targets, laser stripes, a mesh, a cloud.
 Out: rigs, clouds, roughness, poses, checks, and the pages that show them.
 Read: the rooms session, calibrating, scanning, cloud; heightmap, roughness, model, pose, check; simulation,
-    report, demo. Tools: mesh, optional, errors, version.
+    printing, report, demo. Tools: mesh, optional, errors, version.
 """
 
 from __future__ import annotations
@@ -61,6 +61,7 @@ _HOMES = {
     "measure_heights": "scope.roughness",
     "measure_roughness": "scope.roughness",
     "point_covariance": "scope.scanning",
+    "print_target": "scope.printing",
     "scan": "scope.scanning",
     "simulate": "scope.simulation",
     "verify": "scope.calibrating",

@@ -17,7 +17,7 @@ from scope.session.capture import Capture, StageUse, read_capture
 from scope.session.frames import AHEAD, Frame, Iterated, Source, frames_in_memory, in_order, open_source
 from scope.session.images import ImageInMemory, gray, mean_gray, mean_image, read_alike, read_image, shape_text
 from scope.session.in_memory import CalibrationSession, PlaneView, plan_of
-from scope.session.target_section import Plate
+from scope.session.target_section import Plate, read_target, target_in
 from scope.session.templates import TEMPLATES, write_template
 from scope.session.toml_file import MM
 
@@ -50,6 +50,8 @@ __all__ = [
     "read_calibration",
     "read_capture",
     "read_image",
+    "read_target",
     "shape_text",
+    "target_in",
     "write_template",
 ]

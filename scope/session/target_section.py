@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import BeforeValidator, Field, Strict, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, Strict, ValidationError, model_validator
 
+from calibration.errors import CalibrationError, FileError
 from calibration.targets import Charuco, Chessboard, CircleGrid, MarkerBoard, MarkerPlace, Polarity, SpotGrid, Target
-from scope.session.toml_file import Flag, Number, Positive, Section
+from scope.session.toml_file import MM, Flag, Number, Positive, Section, Units, describe, read_toml
 
 Rectangle: TypeAlias = tuple[float, float, float, float]  # x0, x1, y0, y1
 Plate: TypeAlias = Literal["auto", "marks"] | Rectangle  # a rectangle in the target's frame, mm
@@ -138,3 +140,44 @@ def plate_of(section: TargetSection, mm: float) -> Plate:
         return section.plate
     x0, x1, y0, y1 = (value * mm for value in section.plate)
     return (x0, x1, y0, y1)
+
+
+class _TargetAlone(Section):
+    """A calibration file of which only the target is read: its images need not exist yet."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    units: Units = "mm"
+    target: TargetSection
+
+
+def read_target(path: Path) -> Target:
+    """Target of a calibration.toml, mm, whatever else the file holds or lacks.
+
+    Raises
+    ------
+    FileError
+        No such file, no TOML, no [target], or marks that are listed plane by plane, which are no target of their own.
+    """
+    return _alone(path, read_toml(path, _TargetAlone))
+
+
+def target_in(path: Path, content: dict[str, Any]) -> Target:
+    """Target, mm, of what a calibration.toml holds; ``path`` for messages."""
+    try:
+        return _alone(path, _TargetAlone.model_validate(content))
+    except ValidationError as error:
+        raise FileError(f"{path}: {describe(error)}") from error
+
+
+def _alone(path: Path, found: _TargetAlone) -> Target:
+    try:
+        target = target_of(found.target, MM[found.units])
+    except CalibrationError as error:
+        raise FileError(f"{path}: {error}") from error
+    if target is None:
+        raise FileError(
+            f"{path}: target.kind = 'listed' lists marks plane by plane and describes no target of its own; needed: spots, "
+            "chessboard, charuco, markers or circles"
+        )
+    return target

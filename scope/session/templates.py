@@ -41,6 +41,29 @@ pitch = 20.0                        # side of a square
 marker = 15.0                       # side of a marker
 dictionary = "DICT_5X5_100"
 """,
+    "markers": """
+[target]
+kind = "markers"
+dictionary = "DICT_4X4_50"
+marker = 30.0                       # side of a marker's black square
+places = [                          # centre of each, x to the right and y down; turn = degrees from x to y
+    { id = 0, x = 0.0, y = 0.0 },
+    { id = 1, x = 100.0, y = 0.0 },
+    { id = 2, x = 200.0, y = 0.0 },
+    { id = 3, x = 0.0, y = 110.0 },
+    { id = 4, x = 100.0, y = 110.0 },
+    { id = 5, x = 200.0, y = 110.0 },
+]
+""",
+    "circles": """
+[target]
+kind = "circles"                    # OpenCV's asymmetric grid
+polarity = "dark"
+rows = 13
+columns = 5                         # circles a row
+pitch = 12.0                        # neighbours along a diagonal are that far apart in x and in y
+diameter = 9.0
+""",
 }
 _JIG = """
 # What "passed" means for your work; without it only self-consistency is judged.
@@ -99,6 +122,8 @@ TEMPLATES = {
     "spots": _HEAD + _TARGET["spots"] + _JIG,
     "chessboard": _HEAD + _TARGET["chessboard"] + _FREEHAND,
     "charuco": _HEAD + _TARGET["charuco"] + _FREEHAND,
+    "markers": _HEAD + _TARGET["markers"] + _FREEHAND,
+    "circles": _HEAD + _TARGET["circles"] + _FREEHAND,
 }
 
 
