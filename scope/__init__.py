@@ -5,8 +5,8 @@ SciPy nor Open3D.
 
 In: files or arrays: images of targets, laser stripes, a mesh, a cloud.
 Out: rigs, clouds, roughness, poses, checks, and the pages that show them.
-Read: the rooms session, calibrating, scanning, cloud; heightmap, roughness, model, pose, check; simulation,
-    printing, report, demo. Tools: mesh, optional, errors, version.
+Read: the rooms session, calibrating, hand_eye, scanning, cloud; heightmap, roughness, model, pose, check;
+    simulation, printing, report, demo. Tools: mesh, optional, errors, version.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ _HOMES = {
     "CircleGrid": "calibration.targets",
     "FileError": "calibration.errors",
     "Fixed": "ranging.motion",
+    "HandEye": "scope.session",
+    "HandEyeResult": "scope.hand_eye",
     "HeightMap": "scope.heightmap",
     "Linear": "ranging.motion",
     "MarkerBoard": "calibration.targets",
@@ -58,6 +60,7 @@ _HOMES = {
     "calibrate": "scope.calibrating",
     "check_artefact": "scope.check",
     "estimate_pose": "scope.pose",
+    "hand_eye": "scope.hand_eye",
     "measure_heights": "scope.roughness",
     "measure_roughness": "scope.roughness",
     "point_covariance": "scope.scanning",

@@ -1,10 +1,33 @@
-"""How a stage moves what stands on it: the direction of a linear stage, the axis of a turntable.
+"""How what carries a target or a camera moves: a linear stage, a turntable, a robot's arm.
 
-In: the pose of the target at every position of the stage.
-Out: direction or axis in the camera frame, with covariance, and the positions that contradict the rest.
-Read: stage.
+In: the pose of the target at every position of the stage, or views of it with the poses of the arm.
+Out: direction or axis in the camera frame, or where the camera is on the robot, with covariance, and the
+    positions or views that contradict the rest.
+Read: stage, hand_eye_start, hand_eye_system, hand_eye.
 """
 
+from calibration.stages.hand_eye import (
+    HandEyeFit,
+    Repeatability,
+    ViewOfHandEye,
+    require_turns,
+    solve_hand_eye,
+)
+from calibration.stages.hand_eye_start import Mount, SeenTarget, Start, closed_form, consensus
 from calibration.stages.stage import Stage, fit_linear, fit_turntable
 
-__all__ = ["Stage", "fit_linear", "fit_turntable"]
+__all__ = [
+    "HandEyeFit",
+    "Mount",
+    "Repeatability",
+    "SeenTarget",
+    "Stage",
+    "Start",
+    "ViewOfHandEye",
+    "closed_form",
+    "consensus",
+    "fit_linear",
+    "fit_turntable",
+    "require_turns",
+    "solve_hand_eye",
+]

@@ -5,8 +5,9 @@ Out: `Calibration`: the rig, the figures of both analyses, faults, what was left
 Read: run, marks, plates, channels, lasers, stages, stage_scale, left_out, verdict, verifying.
 """
 
-from scope.calibrating.marks import MeasuredPlane
+from scope.calibrating.left_out import small
+from scope.calibrating.marks import MeasuredPlane, measure_plane
 from scope.calibrating.run import Calibration, calibrate
 from scope.calibrating.verifying import check_plane, verify
 
-__all__ = ["Calibration", "MeasuredPlane", "calibrate", "check_plane", "verify"]
+__all__ = ["Calibration", "MeasuredPlane", "calibrate", "check_plane", "measure_plane", "small", "verify"]

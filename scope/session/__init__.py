@@ -2,7 +2,8 @@
 
 In: calibration.toml, capture.toml, folders of images, videos; or the same from memory.
 Out: frozen descriptions of a calibration or a capture, and a source that decodes its frames ahead.
-Read: toml_file, target_section, calibration_file, in_memory, capture, images, frames, templates.
+Read: toml_file, target_section, calibration_file, in_memory, robot_section, hand_eye_file,
+    hand_eye, capture, images, frames, templates.
 """
 
 from scope.session.calibration_file import (
@@ -15,8 +16,11 @@ from scope.session.calibration_file import (
 )
 from scope.session.capture import Capture, StageUse, read_capture
 from scope.session.frames import AHEAD, Frame, Iterated, Source, frames_in_memory, in_order, open_source
+from scope.session.hand_eye import SENSOR, TARGET, HandEye
+from scope.session.hand_eye_file import HandEyePlan, read_hand_eye_plan
 from scope.session.images import ImageInMemory, gray, mean_gray, mean_image, read_alike, read_image, shape_text
 from scope.session.in_memory import CalibrationSession, PlaneView, plan_of
+from scope.session.robot_section import PoseLog, read_pose_log
 from scope.session.target_section import Plate, read_target, target_in
 from scope.session.templates import TEMPLATES, write_template
 from scope.session.toml_file import MM
@@ -27,6 +31,8 @@ __all__ = [
     "CalibrationSession",
     "Capture",
     "Frame",
+    "HandEye",
+    "HandEyePlan",
     "ImageInMemory",
     "Iterated",
     "LaserPlan",
@@ -35,9 +41,12 @@ __all__ = [
     "PlanePlan",
     "PlaneView",
     "Plate",
+    "PoseLog",
+    "SENSOR",
     "Source",
     "StagePlan",
     "StageUse",
+    "TARGET",
     "TEMPLATES",
     "frames_in_memory",
     "gray",
@@ -49,7 +58,9 @@ __all__ = [
     "read_alike",
     "read_calibration",
     "read_capture",
+    "read_hand_eye_plan",
     "read_image",
+    "read_pose_log",
     "read_target",
     "shape_text",
     "target_in",

@@ -1,0 +1,38 @@
+"""Hand and eye in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration.grouping import grouped, shortened
+from calibration.notation import COLUMNS, NOTATIONS, numbers_of
+from scope.hand_eye.run import HandEyeResult
+from scope.session import SENSOR
+
+
+def hand_eye_text(result: HandEyeResult) -> str:
+    """What the terminal shows."""
+    verdict = "passed" if result.passed else "NOT PASSED"
+    lines = [f"{verdict}: {result.why}"]
+    if result.fit is not None:
+        fit = result.fit
+        sd = np.sqrt(np.diag(fit.covariance))
+        source = "stated" if fit.robot_stated else "from the scatter of the views"
+        x, y, z = fit.sensor.translation
+        lines += [
+            f"{SENSOR[fit.mount]}: x {x:.3f} y {y:.3f} z {z:.3f} mm",
+            f"one sigma {sd[3]:.3f} {sd[4]:.3f} {sd[5]:.3f} mm, {' '.join(f'{v:.4f}' for v in np.rad2deg(sd[:3]))} degrees",
+            f"rms of the marks {fit.rms_mm:.3f} mm ({fit.rms_px:.2f} px), each view left out {fit.loo_mm:.3f} mm (median)",
+            f"robot {fit.robot.mm:.3f} mm, {np.rad2deg(fit.robot.rad):.3f} degrees ({source})",
+            "in the notations of robots (mm):",
+        ]
+        lines += [
+            f"  {name:16} {' '.join(COLUMNS[name])} = {' '.join(f'{v:.5g}' for v in numbers_of(name, fit.sensor))}"
+            for name in NOTATIONS
+            if name != "matrix"
+        ]
+    if result.dropped:
+        total = len(result.plan.marks.planes)
+        lines.append(f"left out: {grouped([(d['name'], d['reason']) for d in result.dropped], total, 'views')}")
+    lines += [f"warning: {shortened(text, 290)}" for text in result.warnings]
+    return "\n".join(lines)
