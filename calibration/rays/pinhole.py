@@ -11,6 +11,8 @@ import numpy as np
 from calibration.errors import CalibrationError
 from calibration.geometry import Array, Pose, Rays
 from calibration.grouping import grouped
+from calibration.rays.bundle import Adjusted, Term, adjust, columns
+from calibration.rays.lens_terms import choose_terms, lens_covariance
 from calibration.rays.plane_map import PlaneMarks, rms
 from calibration.volume import Volume
 
@@ -99,6 +101,8 @@ class FreehandFit:
     views: tuple[PlaneMarks, ...]  # with their poses
     residuals: tuple[Array, ...]  # (n, 2) px a view, seen minus projected
     dropped: tuple[tuple[str, str], ...]  # name and reason of the views that were left out
+    terms: frozenset[Term]  # of the lens that the views have earned; the others are held
+    adjusted: Adjusted  # what each view says of the lens
 
     @property
     def fit_px(self) -> float:
@@ -113,7 +117,12 @@ def fit_freehand(
     outlier: float = 4.0,
     dropped: Sequence[tuple[str, str]] = (),
 ) -> FreehandFit:
-    """Fit a pinhole to freehand views with OpenCV's calibrateCamera (Zhang 2000), leaving out views that do not belong.
+    """Fit a pinhole to freehand views (Zhang 2000), with the terms they have earned, leaving out views that do not belong.
+
+    OpenCV's calibrateCamera finds the focal length and the poses to start from; principal point, aspect and the terms of
+    distortion are let free one by one, as long as views left out are foretold better by them
+    (`calibration.rays.lens_terms`). What is not earned is held (the principal point in the middle of the image, one focal
+    length for both axes, no distortion) and counts in the covariance as lenses are uncertain of it.
 
     Parameters
     ----------
@@ -134,6 +143,9 @@ def fit_freehand(
     asked = len(views) + len(dropped)
     kept, few = _usable(views)
     dropped = [*dropped, *few]
+    found: Adjusted | None = None
+    terms: frozenset[Term] = frozenset()
+    stale = True  # terms were chosen beside a view that is gone
     while True:
         if len(kept) < 3:
             reasons = grouped(dropped, asked, "views", longest=150)
@@ -141,21 +153,28 @@ def fit_freehand(
                 f"{len(kept)} usable freehand view(s) of {asked}; a camera needs three or more, tilted differently: "
                 f"take more views{' (' + reasons + ')' if reasons else ''}"
             )
-        fit = _calibrate(kept, size, list(dropped))
-        each = np.array([rms(r) for r in fit.residuals])
+        if stale or found is None:
+            found, terms = choose_terms(kept, _start(kept, size))
+        stale = False
+        each = np.array([rms(r) for r in found.residuals])
         worst = int(np.argmax(each))
-        if each[worst] <= max(outlier * float(np.median(each)), 0.05):
-            _check_tilts(fit)
-            return fit
-        reason = f"rms {each[worst]:.2f} px where the median view has {np.median(each):.2f} px"
-        dropped = [*dropped, (kept[worst].name, reason)]
-        kept = [v for k, v in enumerate(kept) if k != worst]
+        if each[worst] > max(outlier * float(np.median(each)), 0.05):
+            reason = f"rms {each[worst]:.2f} px where the median view has {np.median(each):.2f} px"
+            dropped = [*dropped, (kept[worst].name, reason)]
+            kept = [v for k, v in enumerate(kept) if k != worst]
+            stale = True
+            continue
+        fit = _fitted(kept, size, dropped, found, terms)
+        _check_tilts(fit)
+        return fit
 
 
 def refit_without(fit: FreehandFit, left_out: int) -> PinholeCamera:
     """The pinhole fitted again to all views but one, from where all of them put it."""
-    kept = [view for k, view in enumerate(fit.views) if k != left_out]
-    return _calibrate(kept, fit.camera.size, [], start=fit.camera).camera
+    kept = [k for k in range(len(fit.views)) if k != left_out]
+    views = [fit.views[k] for k in kept]
+    found = adjust(views, fit.adjusted.lens, fit.adjusted.poses[kept], fit.terms)
+    return _fitted(views, fit.camera.size, [], found, fit.terms).camera
 
 
 def _usable(views: list[PlaneMarks]) -> tuple[list[PlaneMarks], list[tuple[str, str]]]:
@@ -168,60 +187,78 @@ def _usable(views: list[PlaneMarks]) -> tuple[list[PlaneMarks], list[tuple[str, 
     return kept, dropped
 
 
-def _calibrate(
-    views: list[PlaneMarks],
-    size: tuple[int, int],
-    dropped: list[tuple[str, str]],
-    start: PinholeCamera | None = None,
-) -> FreehandFit:
+_HELD = (
+    cv2.CALIB_FIX_PRINCIPAL_POINT
+    | cv2.CALIB_FIX_ASPECT_RATIO
+    | cv2.CALIB_ZERO_TANGENT_DIST
+    | cv2.CALIB_FIX_K1
+    | cv2.CALIB_FIX_K2
+    | cv2.CALIB_FIX_K3
+)
+
+
+def _start(views: list[PlaneMarks], size: tuple[int, int]) -> Adjusted:
+    """Focal length and poses alone, by OpenCV and then settled."""
     objects = [np.column_stack([v.points, np.zeros(len(v))]).astype(np.float32) for v in views]
     images = [v.pixels.astype(np.float32) for v in views]
-    first = (
-        (None, None, 0)
-        if start is None
-        else (start.matrix.copy(), start.distortion.copy(), cv2.CALIB_USE_INTRINSIC_GUESS)
-    )
     try:
-        _, matrix, distortion, rotations, translations = cv2.calibrateCamera(
-            objects, images, size, first[0], first[1], flags=first[2]
-        )[:5]
+        _, matrix, _, rotations, translations = cv2.calibrateCamera(objects, images, size, None, None, flags=_HELD)[:5]
     except cv2.error as error:
         raise CalibrationError(
             f"OpenCV could not calibrate from {len(views)} views ({str(error.err)[:80]}): take views tilted differently"
         ) from error
-    matrix, distortion = np.asarray(matrix, dtype=np.float64), np.asarray(distortion, dtype=np.float64).ravel()[:5]
-    poses, residuals, jacobians = [], [], []
-    for view, model, r, t in zip(views, objects, rotations, translations, strict=True):
-        seen, jacobian = cv2.projectPoints(model.astype(np.float64), r, t, matrix, distortion)
-        poses.append(Pose.from_rotation_vector(np.ravel(r), np.ravel(t)))
-        residuals.append(view.pixels - seen[:, 0])
-        jacobians.append(jacobian)
-    everything = np.concatenate(residuals)
-    freedom = max(2 * len(everything) - 9 - 6 * len(views), 1)
+    focal = float(np.asarray(matrix)[[0, 1], [0, 1]].mean())
+    poses = np.array([[*np.ravel(r), *np.ravel(t)] for r, t in zip(rotations, translations, strict=True)])
+    if 0.1 * max(size) < focal < 100 * max(size):
+        return adjust(views, _plain_lens(focal, size), poses, frozenset())
+    tried = [_from_focal(views, share * max(size), size) for share in (0.6, 1.0, 1.7, 3.0, 6.0)]
+    return min(tried, key=lambda found: float(found.squares.sum()))
+
+
+def _plain_lens(focal: float, size: tuple[int, int]) -> Array:
+    """Parameters (9,) of a lens without distortion about the middle of the image."""
+    return np.array([focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def _from_focal(views: list[PlaneMarks], focal: float, size: tuple[int, int]) -> Adjusted:
+    """Settled from a focal length that was assumed, each view's pose by OpenCV."""
+    lens, poses = _plain_lens(focal, size), []
+    for view in views:
+        points = np.column_stack([view.points, np.zeros(len(view))])
+        flat = (view.pixels - lens[2:4]) / focal
+        done, r, t = cv2.solvePnP(points, flat, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+        if not done:
+            raise CalibrationError(f"view {view.name}: its {len(view)} marks give no pose; take the view again")
+        poses.append([*np.ravel(r), *np.ravel(t)])
+    return adjust(views, lens, np.array(poses), frozenset())
+
+
+def _fitted(
+    views: list[PlaneMarks],
+    size: tuple[int, int],
+    dropped: Sequence[tuple[str, str]],
+    found: Adjusted,
+    terms: frozenset[Term],
+) -> FreehandFit:
+    lens = found.lens
+    matrix = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
+    everything = np.concatenate(found.residuals)
+    freedom = max(2 * len(everything) - columns(terms).shape[1] - 6 * len(views), 1)
     sigma = float(np.sqrt((everything**2).sum() / freedom))
     placed = tuple(
-        PlaneMarks(v.name, v.pixels, v.points, pose, v.mark, v.covariance) for v, pose in zip(views, poses, strict=True)
+        PlaneMarks(v.name, v.pixels, v.points, Pose.from_rotation_vector(p[:3], p[3:]), v.mark, v.covariance)
+        for v, p in zip(views, found.poses, strict=True)
     )
     camera = PinholeCamera(
         matrix,
-        distortion,
+        lens[4:],
         Pose.identity(),
         size,
-        _view_volume(placed, matrix, distortion),
-        sigma**2 * _intrinsic_inverse(jacobians),
+        _view_volume(placed, matrix, lens[4:]),
+        lens_covariance(found, terms, size, sigma),
         sigma,
     )
-    return FreehandFit(camera, placed, tuple(residuals), tuple(dropped))
-
-
-def _intrinsic_inverse(jacobians: list[Array]) -> Array:
-    """Inverse (9, 9) of the normal matrix of the intrinsics once each view's pose is eliminated (Schur complement)."""
-    normal = np.zeros((9, 9))
-    for jacobian in jacobians:
-        pose, inner = jacobian[:, :6], jacobian[:, 6:15]
-        normal += inner.T @ inner - inner.T @ pose @ np.linalg.lstsq(pose, inner, rcond=None)[0]
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale))
+    return FreehandFit(camera, placed, found.residuals, tuple(dropped), terms, found)
 
 
 def _view_volume(views: tuple[PlaneMarks, ...], matrix: Array, distortion: Array) -> Volume:
@@ -246,7 +283,7 @@ def _check_tilts(fit: FreehandFit) -> None:
     normals = np.array([v.c_from_plane.rotation[:, 2] for v in fit.views])
     widest = float(np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T).min(), 0, 1))))
     focal = float(np.sqrt(max(fit.camera.covariance[0, 0], 0)))
-    if widest < 3.0 or focal > 0.1 * fit.camera.matrix[0, 0]:
+    if widest < 3.0 or not focal < fit.camera.matrix[0, 0]:
         raise CalibrationError(
             f"the {len(fit.views)} views differ by {widest:.1f} degrees of tilt: focal length (here "
             f"{fit.camera.matrix[0, 0]:.0f} +- {focal:.0f} px) and distance cannot be told apart; tilt the target by 20 "

@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 
 from calibration.geometry import Array
-from calibration.rays import FreehandFit, TwoPlaneFit, rms
+from calibration.rays import (
+    TERMS,
+    Coverage,
+    FreehandFit,
+    TwoPlaneFit,
+    coverage_of,
+    next_view,
+    rms,
+    undetermined,
+)
 from calibration.rig import Verification
 from calibration.sheet import Laser
 from calibration.stages import Stage
@@ -47,6 +56,7 @@ class Verdict:
     intraplane: Intraplane | None = None
     interplane: Interplane | None = None
     held_out: tuple[HeldOut, ...] = ()
+    coverage: Coverage | None = None
 
 
 def judge_jig(
@@ -109,8 +119,9 @@ def judge_freehand(
     stages: FoundStages,
     left_out: Sequence[LeftOut] = (),
 ) -> Verdict:
-    """Judge a calibration from views held by hand: each view against the camera of the others."""
+    """Judge a calibration from views held by hand: each view against the camera of the others, and what they leave open."""
     held = leave_views_out(fit)
+    coverage, advice = coverage_of(fit), next_view(fit).advice
     of_view = {h.name: h for h in held}
     at = {m.name: k for k, m in enumerate(fit.views)}
     rows = []
@@ -125,12 +136,33 @@ def judge_freehand(
         "model": "pinhole",
         "ray_mm": _rms([h.rms_mm for h in held]),
         "fit_px": fit.fit_px,
+        "camera": camera_content(fit, coverage, advice),
         "dropped": [each.content for each in left_out],
         "stages": [stage_content(stage) for stage in stages.stages],
         "warnings": list(stages.warnings),
     }
-    verdict = _verdict(plan, seen, rows, lasers, _moved(seen), content, planes=0)
-    return Verdict(verdict.verification, verdict.content, held_out=held)
+    verdict = _verdict(plan, seen, rows, lasers, _moved(seen), content, planes=0, open_=undetermined(fit, advice))
+    return Verdict(verdict.verification, verdict.content, held_out=held, coverage=coverage)
+
+
+def camera_content(fit: FreehandFit, coverage: Coverage, advice: str) -> dict[str, Any]:
+    """A freehand camera as --json gives it: its parameters with their standard errors, and what its views leave open."""
+    camera = fit.camera
+    sigma = np.sqrt(np.maximum(np.diag(camera.covariance), 0.0))
+    return {
+        "focal_px": camera.matrix[[0, 1], [0, 1]],
+        "focal_sigma_px": sigma[:2],
+        "centre_px": camera.matrix[:2, 2],
+        "centre_sigma_px": sigma[2:4],
+        "distortion": camera.distortion,
+        "distortion_sigma": sigma[4:],
+        "terms": [term for term in TERMS if term in fit.terms],
+        "held": [term for term in TERMS if term not in fit.terms],
+        "mark_sigma_px": camera.sigma,
+        "lens_sigma_px": coverage.worst_px,
+        "covered": coverage.share,
+        "next_view": advice,
+    }
 
 
 def _rms(values: list[float]) -> float:
@@ -227,8 +259,10 @@ def _verdict(
     content: dict[str, Any],
     *,
     planes: int,
+    open_: Sequence[str] = (),
 ) -> Verdict:
-    failed = [str(fault["remedy"]) for fault in faults]
+    """Faults, limits that do not hold, and what is left open (``open_``) each end in "not passed"."""
+    failed = [*[str(fault["remedy"]) for fault in faults], *open_]
     failed += _beyond(plan, seen, lasers, content["ray_mm"])
     passed = not failed
     why = "; ".join(failed) if failed else _praise(plan, planes)

@@ -12,6 +12,7 @@ from calibration.rays import TwoPlaneFit, normal_equations, ray_uncertainty
 from calibration.verification import block_image
 from scope.calibrating import Calibration, MeasuredPlane
 from scope.report import pictures
+from scope.report.freehand import add_camera, camera_lines
 from scope.report.page import Page
 
 
@@ -27,6 +28,7 @@ def calibration_text(found: Calibration) -> str:
     result = found.result
     lines = [f"{'passed' if result['passed'] else 'NOT PASSED'}: {result['why']}"]
     lines += _columns(_PLANE_HEADERS, _plane_rows(result["planes"]))
+    lines += [f"camera: {text}" for text in camera_lines(result)]
     for name, laser in result["lasers"].items():
         lines.append(
             f"laser {name}: {laser['n']} points, rms {laser['rms_mm']:.4f} mm, one plane left out {number(laser['loo_mm'])} mm, "
@@ -156,6 +158,7 @@ def calibration_page(found: Calibration) -> str:
     page.heading("Figures")
     page.table(_PLANE_HEADERS, _plane_rows(result["planes"]))
     page.table(("figure", "here", "good", "if it is not"), _judged(found))
+    add_camera(page, found)
     _add_held_out(page, result)
     if found.two_plane is not None:
         _add_intraplane(page, found)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from calibration.geometry import Array
+from calibration.geometry import Array, Bools
 from ranging.background import Image
 from scope.report.page import Picture, colour_bgr
 from scope.session import gray
@@ -45,6 +45,19 @@ def with_stripe(image: Image | Array, pixels: Array, *, crop: bool = False) -> P
     if crop and len(pixels):
         return _cropped(picture, pixels * scale)
     return picture
+
+
+def with_coverage(image: Image | Array, pixels: Array, covered: Bools) -> Picture:
+    """Image, dark where blocks (R, C) are not covered, with the marks of all views and the line around them."""
+    picture, scale = backdrop(image)
+    light = cv2.resize(covered.astype(np.uint8), picture.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
+    shown = np.where(light[:, :, None], picture // 2 + 110, picture // 4).astype(np.uint8)
+    for u, v in pixels:
+        cv2.circle(shown, _at((u, v), scale), 1, _GREEN, -1)
+    hull = cv2.convexHull(pixels.astype(np.float32))[:, 0]
+    outline = np.array([_at((float(u), float(v)), scale) for u, v in hull], dtype=np.int32)
+    cv2.polylines(shown, [outline], True, _YELLOW, 2, cv2.LINE_AA)
+    return shown
 
 
 def arrows(size: tuple[int, int], pixels: Array, vectors: Array, *, longest: float = 40.0) -> tuple[Picture, float]:
