@@ -2,7 +2,7 @@
 
 In: a calibration, a scan, roughness, a pose, a check, a cloud.
 Out: one HTML file each, and the tables that the terminal prints.
-Read: page, pictures, calibration, scan, roughness, pose, hand_eye, view.
+Read: page, pictures, freehand, calibration, scan, roughness, pose, hand_eye, view.
 """
 
 from scope.report.calibration import (
