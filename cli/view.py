@@ -18,20 +18,38 @@ def register(app: typer.Typer) -> None:
 
 def export(
     cloud: Annotated[Path, typer.Argument(help="Cloud: .ply, .pcd, .xyz, .txt, .las, .laz or .e57")],
-    out: Annotated[Path, typer.Argument(help="out.ply, .pcd, .xyz, .las, .laz, .e57 or .stl")],
+    out: Annotated[Path, typer.Argument(help="out.ply, .pcd, .xyz, .las, .laz, .e57, .vtp, .mcap or .stl")],
+    program: Annotated[
+        str | None,
+        typer.Option(
+            "--for", help="cloudcompare, meshlab, open3d, pcl, pyvista or ros2: under the names that it reads."
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a cloud in another format, mesh included."""
+    """Write a cloud in another format, mesh included, or as another program reads it whole."""
     from scope.cloud import ScanCloud, not_carried, unknown
+    from scope.export import export_for, program_for, require_program
 
+    reader = program or program_for(out)
+    if reader:
+        try:
+            require_program(out, reader)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
     with user_errors():
         found = ScanCloud.load(cloud)
-        found.save(out)
-    for line in (unknown(found, cloud.name), not_carried(found, out)):
+        if reader:
+            lost = export_for(found, out, reader)
+        else:
+            found.save(out)
+            lost = not_carried(found, out)
+    for line in (unknown(found, cloud.name), lost):
         if line:
             say(line, quiet=quiet)
-    emit({"points": len(found)}, as_json=as_json, text=f"wrote {len(found)} points to {out}")
+    told = {"points": len(found), "for": reader or None, "not_carried": lost or None}
+    emit(told, as_json=as_json, text=f"wrote {len(found)} points to {out}")
 
 
 def view(

@@ -8,7 +8,7 @@ Read: columns, scan_cloud, lattice, normals, sheet, region, region_text, near_me
 
 from scope.cloud.columns import Sensors
 from scope.cloud.fields import SENSOR, VERTEX
-from scope.cloud.files import READ, comments, not_carried, require_format, sensor_records, unknown, vertex_records
+from scope.cloud.files import READ, comments, not_carried, require_format, sensor_records, told, unknown, vertex_records
 from scope.cloud.filters import FilterOptions, filtered
 from scope.cloud.lattice import lattice_index, lattice_lines
 from scope.cloud.near_mesh import NEAR, Mesh, read_mesh
@@ -43,6 +43,7 @@ __all__ = [
     "require_format",
     "require_names",
     "sensor_records",
+    "told",
     "unknown",
     "vertex_records",
 ]

@@ -99,7 +99,11 @@ def _described(path: Path, cloud: Columns, stored: Stored) -> Columns:
     except ValueError:
         centre = np.full(3, np.nan)
     stripes = _stripes(path, stored.comments)
-    names = tuple(parts[2] for parts in lasers if len(parts) == 3) or ("laser",)
+    names = tuple(parts[2] for parts in lasers if len(parts) == 3)
+    if not names:  # text with titles alone
+        names = (
+            tuple(f"laser {i}" for i in range(int(cloud.laser.max(initial=0)) + 1)) if cloud.laser.any() else ("laser",)
+        )
     _require(path, cloud.laser < len(names), f"are of a laser beyond the {len(names)} that the file names")
     return replace(
         cloud,

@@ -111,7 +111,7 @@ def _stored_ply(path: Path) -> Stored:
 
 def unknown(cloud: Columns, name: str) -> str:
     """One line on what a cloud that was read does not tell and what reading left out; empty where it tells all."""
-    missing = [what for what, known in _told(cloud).items() if not known]
+    missing = [what for what, known in told(cloud).items() if not known]
     parts = list(cloud.notes)
     if missing:
         parts.append(f"it tells no {', '.join(missing)}")
@@ -125,11 +125,11 @@ def not_carried(cloud: Columns, path: Path) -> str:
     ending = path.suffix.lower()
     if ending not in _KEPT:
         return ""
-    lost = [what for what, known in _told(cloud).items() if known and what not in _KEPT[ending]]
+    lost = [what for what, known in told(cloud).items() if known and what not in _KEPT[ending]]
     return f"{path.name}: {ending[1:].upper()} does not carry {', '.join(lost)}" if lost else ""
 
 
-def _told(cloud: Columns) -> dict[str, bool]:
+def told(cloud: Columns) -> dict[str, bool]:
     """What a cloud may tell, and whether it does."""
     return {
         "intensity": bool(np.isfinite(cloud.intensity).any()),

@@ -24,6 +24,7 @@ _EXTRA = (
     ("sigma", np.float32), ("sigma_cal", np.float32), ("u", np.float32), ("v", np.float32), ("frame", np.int32),
     ("laser", np.uint8),
 )  # fmt: skip
+_MOST_LINES = 65_535
 _FAILURES = (
     OSError,
     ArithmeticError,
@@ -103,18 +104,27 @@ def read_las(path: Path) -> Stored:
 
 
 def write_e57(path: Path, cloud: Columns) -> None:
-    """Write E57: places (in metres, as ASTM E2807 asks) and intensity, which is all that its writer takes."""
+    """Write E57: places (in metres, as ASTM E2807 asks), intensity, and frame and line as row and column, which is all that its writer takes."""
     pye57 = library(path)
     data: dict[str, NDArray[Any]] = {
         "cartesianX": cloud.points[:, 0] * 1e-3,
         "cartesianY": cloud.points[:, 1] * 1e-3,
         "cartesianZ": cloud.points[:, 2] * 1e-3,
         "intensity": np.nan_to_num(cloud.intensity).astype(np.float64),
-    }
+    } | _rows_and_columns(cloud)
     with beside(path) as part:
         file = pye57.E57(str(part), mode="w")
         file.write_scan_raw(data)
         file.close()
+
+
+def _rows_and_columns(cloud: Columns) -> dict[str, NDArray[Any]]:
+    """Frame and line of each point as E57's row and column; nothing where they are not known or beyond 65,535."""
+    for line in cloud.pixels.T:
+        whole = np.isfinite(line) & (line == np.rint(line)) & (line >= 0) & (line <= _MOST_LINES)
+        if whole.all() and len(cloud) and cloud.frame.min() >= 0 and cloud.frame.max() <= _MOST_LINES:
+            return {"rowIndex": cloud.frame.astype(np.uint16), "columnIndex": line.astype(np.uint16)}
+    return {}
 
 
 def read_e57(path: Path) -> Stored:

@@ -178,13 +178,18 @@ def place(cloud: ScanCloud, result: PoseResult, at: str, robot: RobotEnd | Pose 
 
 
 def write_deviation(path: Path, cloud: ScanCloud, result: PoseResult) -> None:
-    """A PLY of the part's points with their signed distance (mm, outside positive) from the model at the best pose."""
+    """A PLY of the part's points with their signed distance (mm, outside positive) from the model at the best pose.
+
+    It stands there under the names that programs take for a scalar: ``deviation``, MeshLab's ``quality``, CloudCompare's ``scalar_``.
+    """
     if not result.candidates:
         raise MeasurementError(f"{path}: there is no pose to compare with ({result.why}); nothing was written")
     points = cloud.points[result.points]
-    rows = np.zeros(len(points), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("deviation", "<f4")])
+    names = ("deviation", "quality", "scalar_deviation")
+    rows = np.zeros(len(points), dtype=[(name, "<f4") for name in ("x", "y", "z", *names)])
     rows["x"], rows["y"], rows["z"] = points.T
-    rows["deviation"] = result.deviation
+    for name in names:
+        rows[name] = result.deviation
     with written_whole(path) as stream:
         ply.write(
             stream, ply.Ply({"vertex": rows}, ("units mm", f"deviation from {result.model.name}, mm, outside positive"))
