@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ranging.robot import Robot
 from ranging.surface import MeasuredProfile, Timeframe
 from ranging.triangulation import triangulate
 from scope.scanning.setup import ScanSetup
@@ -39,6 +40,9 @@ def triangulate_frames(setup: ScanSetup, frames: Sequence[FrameStripes]) -> list
             end = begin + len(stripe.position)
             pose = setup.motion.cloud_from_c(frame.number)
             part = found.rows(begin, end)
+            if isinstance(setup.motion, Robot):
+                moved = setup.motion.sigma_along(frame.number, part.points, part.view)
+                part = replace(part, sigma_cal=np.hypot(part.sigma_cal, moved))
             frame.profiles[k] = MeasuredProfile.of(part, stripe, pose, setup.centre)
             frame.timeframes[k] = Timeframe(
                 each.image, each.dark, laser.along, setup.saturation(each.image), pose,

@@ -14,6 +14,7 @@ from calibration.rig import Rig
 from calibration.sheet import Laser
 from ranging.background import Channel, Image, choose_channel, clipping_level, mean_image, to_gray
 from ranging.motion import Linear, Motion, Turntable
+from ranging.robot import Robot
 from ranging.stripe import Stripe, StripeOptions, best_channel
 from scope.scanning.options import ScanOptions
 from scope.scanning.setup import Asked, ScanSetup, require_size
@@ -128,6 +129,11 @@ def separated_by_colour(asked: Asked, channels: tuple[Channel, ...]) -> tuple[Ch
 def motion_of(capture: Capture, rig: Rig) -> Motion:
     """Motion of a capture, by the stage of the rig where it asks for that; ``FileError`` where the rig has none."""
     use = capture.motion
+    if isinstance(use, Robot) and use.rig_sha256 and rig.sha256 and use.rig_sha256 != rig.sha256:
+        raise FileError(
+            f"{capture.path}: its hand-eye.json is about the frame C of the rig {use.rig_sha256[:12]}, this rig is "
+            f"{rig.sha256[:12]}: run scope hand-eye with this rig"
+        )
     if not isinstance(use, StageUse):
         return use
     for stage in rig.stages:

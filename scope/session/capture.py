@@ -12,18 +12,23 @@ from pydantic import BeforeValidator, Field, Strict, model_validator
 
 from calibration.errors import FileError
 from calibration.geometry import Array, Pose
+from calibration.notation import Notation
 from ranging.motion import Fixed, Linear, Motion, Poses, Positions, Turntable
+from ranging.robot import Robot
+from scope.session.hand_eye import HandEye
+from scope.session.robot_section import Gives, read_pose_log
 from scope.session.toml_file import MM, Number, Section, Units, Vector, matching, numbers, read_csv, read_toml
 
 Channel = Literal["auto", "red", "green", "blue", "gray"]
 _MOST_NUMBERS = 1_000_000  # between the first and the last frame
+_ROBOT = ("hand_eye", "poses", "units", "notation", "gives")
 _MATRIX = tuple(f"m{i}{j}" for i in range(4) for j in range(4))
 
 
 class MotionSection(Section):
     """[motion]: how object and sensor move against each other."""
 
-    kind: Literal["fixed", "linear", "turntable", "poses"] = "fixed"
+    kind: Literal["fixed", "linear", "turntable", "poses", "robot"] = "fixed"
     moves: Literal["object", "sensor"] | None = None
     direction: Vector | Literal["rig"] | None = None
     axis: Literal["rig"] | None = None
@@ -34,6 +39,10 @@ class MotionSection(Section):
     positions: str | None = None
     poses: str | None = None
     convention: Literal["camera_from_object", "object_from_camera"] | None = None
+    hand_eye: str | None = None
+    units: Units | None = None
+    notation: Notation | None = None
+    gives: Gives | None = None
     index: Literal["order", "filename"] = "order"
 
     @model_validator(mode="after")
@@ -43,6 +52,7 @@ class MotionSection(Section):
             "linear": {"direction", "step", "start", "positions", "index", "moves"},
             "turntable": {"axis", "axis_point", "axis_direction", "step", "start", "positions", "index", "moves"},
             "poses": {"poses", "convention", "index"},
+            "robot": {*_ROBOT, "index"},
         }
         for key in self.model_fields_set - {"kind", "moves"} - allowed[self.kind]:
             raise ValueError(f"{key} has no meaning for kind = {self.kind!r}; remove it")
@@ -63,6 +73,10 @@ class MotionSection(Section):
             vector = getattr(self, key)
             if isinstance(vector, tuple) and not np.linalg.norm(vector) > 0:
                 raise ValueError(f"{key} is {list(vector)}; a direction of length zero is none")
+        if self.kind == "robot":
+            for key in _ROBOT:
+                if getattr(self, key) is None:
+                    raise ValueError(f'{key} is missing; kind = "robot" needs {", ".join(_ROBOT)}')
         if self.kind == "poses" and self.poses is None:
             raise ValueError("poses is missing; name the CSV with header frame,m00,...,m33")
         if self.kind == "poses" and self.convention is None:
@@ -180,7 +194,7 @@ def require_motion(path: Path, raw: CaptureSection, images: int) -> None:
     found = f"{images} frames" if images else "a video" if raw.video is not None else "a camera"
     raise FileError(
         f'{path}: {found} and no [motion], so that every profile would lie on the first; add [motion] with kind = "linear" '
-        '(direction, step, moves), "turntable" (axis_point, axis_direction, step, moves), "poses", or "fixed" where nothing moves'
+        '(direction, step, moves), "turntable" (axis_point, axis_direction, step, moves), "poses", "robot", or "fixed" where nothing moves'
     )
 
 
@@ -220,6 +234,8 @@ def _frame_numbers(path: Path, raw: CaptureSection, images: tuple[Path, ...]) ->
 def _motion(path: Path, section: MotionSection, images: tuple[Path, ...], mm: float) -> Motion | StageUse:
     if section.kind == "fixed":
         return Fixed()
+    if section.kind == "robot":
+        return _robot(path, section, images)
     if section.kind == "poses":
         return _poses(path, section, images, mm)
     scale = mm if section.kind == "linear" else np.pi / 180.0
@@ -276,6 +292,22 @@ def _header(path: Path, wanted: tuple[str, ...]) -> dict[str, list[str]]:
 def _listed_positions(path: Path, images: tuple[Path, ...]) -> Array:
     columns = _header(path, ("position",))
     return numbers(path, "position", columns["position"])[_rows_of_frames(path, columns, images)]
+
+
+def _robot(path: Path, section: MotionSection, images: tuple[Path, ...]) -> Robot:
+    """Motion by a robot's log of poses and what `scope hand-eye` found."""
+    if section.hand_eye is None or section.poses is None:
+        raise FileError(f"{path}: motion needs hand_eye and poses")
+    found = HandEye.load(path.parent / section.hand_eye)
+    if not found.passed:
+        raise FileError(f"{path}: {section.hand_eye} did not pass ({found.why[:120]}); run scope hand-eye again")
+    file = path.parent / section.poses
+    log = read_pose_log(file, section.notation or "matrix", section.units or "mm", section.gives or "base_from_flange")
+    rows = _rows_of_frames(file, {log.key: list(log.names)}, images)
+    poses = tuple(log.base_from_flange(row) for row in rows)
+    return Robot(
+        found.mount, found.sensor, poses, found.covariance, (found.robot.mm, found.robot.rad), found.rig_sha256
+    )
 
 
 def _poses(path: Path, section: MotionSection, images: tuple[Path, ...], mm: float) -> Poses:

@@ -36,11 +36,12 @@ class PoseLog:
     """What a robot said, row by row."""
 
     path: Path
-    names: tuple[str, ...]  # images (or frames) of the rows
+    names: tuple[str, ...]  # file names of the images (or numbers of the frames) of the rows
     values: Array  # (n, k) in the order of the notation's columns
     notation: Notation
     units: Units
     gives: Gives
+    key: str = "image"  # or "frame"
 
     def base_from_flange(self, row: int) -> Pose:
         """Pose of a row, mm; ``FileError`` where its numbers are none."""
@@ -53,7 +54,7 @@ class PoseLog:
     def row_of(self, image: Path) -> int | None:
         """Row of an image, by its name or the end of its path; None where there is none."""
         for row, name in enumerate(self.names):
-            if Path(name.replace("\\", "/")).name == image.name:
+            if name == image.name:
                 return row
         return None
 
@@ -72,15 +73,14 @@ def read_pose_log(path: Path, notation: Notation, units: Units, gives: Gives) ->
     key = next((name for name in _LEAST_HEADER if name in table), None)
     if key is None:
         raise FileError(f"{path}: the header names neither image nor frame; one of them must say which row is whose")
-    names = tuple(table[key])
+    names = tuple(Path(name.replace("\\", "/")).name for name in table[key])
     if not names:
         raise FileError(f"{path}: has no row below its header; write one for each image")
-    stems = [Path(name.replace("\\", "/")).name for name in names]
-    if len(set(stems)) < len(stems):
-        twice = max(stems, key=stems.count)
-        raise FileError(f"{path}: {twice[:60]!r} has {stems.count(twice)} rows; keep one row for each image")
+    if len(set(names)) < len(names):
+        twice = max(names, key=names.count)
+        raise FileError(f"{path}: {twice[:60]!r} has {names.count(twice)} rows; keep one row for each {key}")
     values = np.stack([numbers(path, name, table[name]) for name in columns], axis=1)
-    return PoseLog(path, names, values, notation, units, gives)
+    return PoseLog(path, names, values, notation, units, gives, key)
 
 
 def _require_columns(path: Path, notation: Notation, columns: Sequence[str]) -> None:
