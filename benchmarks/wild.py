@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.shared import head, row
 from calibration.errors import ScopeError
 from calibration.geometry import Array, fit_plane
+from ranging.covariance import propagate
 from scope.calibrating import Calibration, calibrate
 from scope.simulation import WildScene, draw_wild, write_wild
 
@@ -72,10 +73,22 @@ def on_sheet(scene: WildScene) -> Array:
 
 
 def judged(found: Calibration, scene: WildScene) -> tuple[float, float]:
-    """Rms of the sheet from the true one, mm; the same over what is stated: the laser's covariance at those points."""
-    laser, points = found.rig.lasers["laser"], on_sheet(scene)
-    off = laser.sheet.distance(points)
-    return float(np.sqrt((off**2).mean())), float(np.sqrt((off**2).mean() / (laser.sigma_at(points) ** 2).mean()))
+    """Rms error of points ranged from the true pixels of the true sheet, mm; the same over its stated sigma.
+
+    The sigma is that of camera and laser together, carried to the points.
+    """
+    camera, laser = found.rig.camera, found.rig.lasers["laser"]
+    points = on_sheet(scene)
+    flat = points[:, :2] / points[:, 2:]
+    flat *= 1.0 + scene.radial * (flat**2).sum(axis=1, keepdims=True)
+    pixels = scene.focal * flat + scene.centre
+    ranged = laser.sheet.intersect(camera.rays(pixels)).points
+    seen = np.isfinite(ranged).all(axis=1)
+    stated = propagate(
+        camera, laser, pixels[seen], ranged[seen], np.zeros(int(seen.sum())), 1 if laser.along == "rows" else 0
+    ).calibration
+    error = float(((ranged - points)[seen] ** 2).sum(axis=1).mean())
+    return float(np.sqrt(error)), float(np.sqrt(error / np.trace(stated, axis1=1, axis2=2).mean()))
 
 
 def main() -> None:
