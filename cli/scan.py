@@ -117,11 +117,9 @@ def simulate(
 
     with user_errors(), progress("rendering", quiet=quiet) as tick:
         result = simulate_rig(design, out, seed, on_image=tick).result
-    emit(
-        result,
-        as_json=as_json,
-        text=f"wrote {result['images']} images to {out}; expected sigma {result['expected_sigma_mm']} mm",
-    )
+    sigma = result["expected_sigma_mm"]
+    told = "" if sigma is None else f"; expected sigma {sigma} mm"
+    emit(result, as_json=as_json, text=f"wrote {result['images']} images to {out}{told}")
 
 
 def demo(

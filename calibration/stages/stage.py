@@ -11,6 +11,8 @@ from calibration.errors import CalibrationError
 from calibration.geometry import Array
 
 _CHANCE = 0.01  # of a scatter of the positions about their line that is taken for noise
+_STEPS = 6  # of Gauss and Newton
+_SMALL = 1e-5  # rad, for derivatives
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,18 +67,36 @@ def fit_linear(tracks: Array, positions: Array, *, covariance: Array | None = No
 def fit_turntable(tracks: Array, angles: Array) -> Stage:
     """Axis of rotation from marks (positions, marks, 3) mm seen at stated angles (n,) rad.
 
-    Every pair of positions gives a rotation (Kabsch 1976) whose axis, signed by the stated turn, is averaged with the
-    turn as weight; the point solves (I - R) p = t over all positions. ``CalibrationError`` for turns under 2 degrees.
+    Every pair of positions gives a rotation (Kabsch 1976) whose axis, signed by the stated turn, is averaged with the sine of
+    the turn as weight; from there direction and point are fitted by least squares over all marks turned back to the first
+    position. The marks of a position err together, as the pose of the target does, so that the direction's uncertainty comes
+    from what each position says against the rest (a clustered sandwich, MacKinnon and White 1985), and from the scatter
+    of the marks where that is more. ``CalibrationError`` for turns under 2 degrees.
     """
     turns = angles - angles[0]
     if np.abs(turns).max() < np.deg2rad(2.0):
         raise CalibrationError(
             f"stage: the turntable turns by {np.rad2deg(np.abs(turns).max()):.2f} degrees; its axis needs 2 or more, better 90"
         )
+    direction, point = _first_axis(tracks, turns)
+    for _ in range(_STEPS):
+        residual, slopes = _turned_back(tracks, turns, direction, point)
+        normal = np.einsum("pmia,pmib->ab", slopes, slopes)
+        step = -np.linalg.lstsq(normal, np.einsum("pmia,pmi->a", slopes, residual), rcond=1e-12)[0]
+        across = _across(direction)
+        direction, point = direction + step[:2] @ across, point + step[2:] @ across
+        direction = direction / np.linalg.norm(direction)
+    residual, slopes = _turned_back(tracks, turns, direction, point)
+    point = point + ((tracks[0].mean(axis=0) - point) @ direction) * direction
+    return Stage("turntable", direction, point, _direction_sigma(residual, slopes), 1.0, _rms(residual))
+
+
+def _first_axis(tracks: Array, turns: Array) -> tuple[Array, Array]:
+    """Direction and a point of the axis, from the rotations between the first and the other positions."""
     first = tracks[0]
-    rotations = [_kabsch(first, moved) for moved in tracks[1:]]
     axes, weights = [], []
-    for rotation, turn in zip(rotations, turns[1:], strict=True):
+    for moved, turn in zip(tracks[1:], turns[1:], strict=True):
+        rotation = _kabsch(first, moved)
         axis = np.array(
             [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
         )
@@ -97,16 +117,49 @@ def fit_turntable(tracks: Array, angles: Array) -> Stage:
         ]
     )
     point = np.linalg.lstsq(matrix, shift, rcond=1e-9)[0]
-    point = point + ((centre - point) @ direction) * direction
-    residual = np.stack(
-        [
-            moved - (point + (first - point) @ _about(direction, turn).T)
-            for moved, turn in zip(tracks, turns, strict=True)
-        ]
-    )
-    spread = [np.arccos(np.clip(a @ direction / np.linalg.norm(a), -1, 1)) for a in axes]
-    error = float(np.sqrt(np.mean(np.square(spread)) / max(2 * len(spread) - 2, 1)))
-    return Stage("turntable", direction, point, error, 1.0, float(np.sqrt((residual**2).sum(axis=2).mean())))
+    return direction, point + ((centre - point) @ direction) * direction
+
+
+def _turned_back(tracks: Array, turns: Array, direction: Array, point: Array) -> tuple[Array, Array]:
+    """Marks turned back to position 0 about their mean (n, m, 3) mm, and slopes (n, m, 3, 4) by tilt (rad) and shift (mm)."""
+    across = _across(direction)
+
+    def back(axis: Array, through: Array) -> Array:
+        turned = np.stack(
+            [through + (moved - through) @ _about(axis, turn) for moved, turn in zip(tracks, turns, strict=True)]
+        )
+        return np.asarray(turned - turned.mean(axis=0))
+
+    tilts = []
+    for e in across:
+        ends = [(direction + sign * _SMALL * e) / np.hypot(1.0, _SMALL) for sign in (1, -1)]
+        tilts.append((back(ends[0], point) - back(ends[1], point)) / (2 * _SMALL))
+    residual = back(direction, point)
+    shifts = [back(direction, point + e) - residual for e in across]
+    return residual, np.stack([*tilts, *shifts], axis=-1)
+
+
+def _direction_sigma(residual: Array, slopes: Array) -> float:
+    """Standard deviation (rad) of the direction about either perpendicular."""
+    positions, marks = residual.shape[:2]
+    inverse = np.linalg.pinv(np.einsum("pmia,pmib->ab", slopes, slopes), rcond=1e-12, hermitian=True)
+    freedom = max(3 * (positions - 1) * marks - 4, 1)
+    alike = inverse * float((residual**2).sum()) / freedom
+    each = np.einsum("pmia,pmi->pa", slopes, residual)
+    told = positions * 6 - 6  # a pose a position, one of them that of the target
+    clustered = inverse @ (each.T @ each) @ inverse * told / max(told - 4, 1)
+    return float(np.sqrt(max(np.trace(alike[:2, :2]), np.trace(clustered[:2, :2])) / 2))
+
+
+def _across(direction: Array) -> Array:
+    """Two unit vectors (2, 3) square to a direction and to each other."""
+    first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
+
+
+def _rms(residual: Array) -> float:
+    return float(np.sqrt((residual**2).sum(axis=2).mean()))
 
 
 def _kabsch(source: Array, moved: Array) -> Array:

@@ -14,6 +14,7 @@ from pydantic.dataclasses import dataclass
 
 from calibration.errors import FileError
 from calibration.geometry import Pose
+from scope.simulation.wild_design import WildDesign, WildTableDesign
 
 _STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
 
@@ -321,6 +322,7 @@ _TABLES: dict[str, type[Any]] = {
     "jig": JigDesign,
     "fault": FaultDesign,
     "motion": MotionDesign,
+    "wild": WildDesign,
 }
 
 
@@ -334,30 +336,62 @@ def read_design(path: str | Path) -> RigDesign:
         was found, what is allowed.
     """
     path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise FileError(f"{path}: no such file; name a rig-design.toml") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(f"{path}: could not be read ({error}); needed is a text file in UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
-        raise FileError(f"{path}: no valid TOML ({error}); correct it there") from error
+    data = _tables(path)
     for key in ("object", "fault"):  # one table, or an array of them
         if isinstance(data.get(key), dict):
             data[key] = [data[key]]
     for item in data.get("object", []) if isinstance(data.get("object"), list) else []:
         if isinstance(item, dict) and isinstance(item.get("mesh"), str):
             item["mesh"] = str(path.parent / item["mesh"])
+    design: RigDesign = _validated(path, data, RigDesign)
+    return design
+
+
+def read_any_design(path: str | Path) -> RigDesign | WildDesign:
+    """Read a rig-design.toml of a rig, or of a session that nobody prepared (one with ``[wild]``).
+
+    Raises
+    ------
+    FileError
+        As `read_design`; and a file that holds tables of both.
+    """
+    path = Path(path)
+    data = _tables(path)
+    if "wild" not in data:
+        return read_design(path)
+    others = sorted(set(data) - {"format", "units", "wild"})
+    if others:
+        raise FileError(f"{path}: holds [wild] and {', '.join(others)}; [wild] stands alone, beside format and units")
+    if data.get("format", 1) != 1 or data.get("units", "mm") != "mm" or not isinstance(data["wild"], dict):
+        raise FileError(f'{path}: needed are format = 1, units = "mm" and a table [wild]')
+    design: WildDesign = _validated(path, data["wild"], WildDesign, "wild")
+    return design
+
+
+def _tables(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise FileError(f"{path}: no such file; name a rig-design.toml") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(f"{path}: could not be read ({error}); needed is a text file in UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"{path}: no valid TOML ({error}); correct it there") from error
+
+
+def _validated(path: Path, data: dict[str, Any], kind: type[Any], table: str = "") -> Any:
     try:
         # by way of JSON, whose arrays may become tuples although types are strict
-        return TypeAdapter(RigDesign).validate_json(json.dumps(data, default=str))
+        return TypeAdapter(kind).validate_json(json.dumps(data, default=str))
     except ValidationError as error:
-        raise FileError(f"{path}: {_first_fault(error)}") from error
+        raise FileError(f"{path}: {_first_fault(error, table)}") from error
 
 
-def _first_fault(error: ValidationError) -> str:
+def _first_fault(error: ValidationError, table: str = "") -> str:
     """One line about the first thing that is wrong: key, what was found, what is allowed."""
     first = error.errors(include_url=False)[0]
+    if table:
+        first["loc"] = (table, *first["loc"])
     place = [part for k, part in enumerate(first["loc"]) if not (k == 2 and first["loc"][0] == "object")]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".") or "the file"
     found = json.dumps(first["input"], default=str)
@@ -374,6 +408,8 @@ def _first_fault(error: ValidationError) -> str:
 
 def _allowed(place: tuple[int | str, ...]) -> list[str]:
     """Keys of the table in which ``place`` stands."""
+    if "wild" in place[:1] and len(place) == 3:
+        return [f.name for f in fields(WildTableDesign)]
     if len(place) == 1:
         return ["format", "units", *_TABLES, "object"]
     table = _OBJECTS.get(str(place[2])) if place[0] == "object" and len(place) > 2 else _TABLES.get(str(place[0]))

@@ -24,9 +24,11 @@ from numpy.typing import NDArray
 from calibration.errors import FileError
 from calibration.geometry import Array, fit_plane
 from scope.simulation.rendering import disk_centroids
-from scope.simulation.rig_design import MeshDesign, MotionDesign, ObjectDesign, RigDesign, RoughDesign, read_design
+from scope.simulation.rig_design import MeshDesign, MotionDesign, ObjectDesign, RigDesign, RoughDesign, read_any_design
 from scope.simulation.stripe_truth import TrueStripe
 from scope.simulation.virtual_rig import VirtualRig, placed, rough_field
+from scope.simulation.wild import WildScene, write_wild
+from scope.simulation.wild_design import WildDesign
 
 _MARK = "scope simulate"
 
@@ -54,7 +56,7 @@ class Simulation:
 
 
 def simulate(
-    design: RigDesign | str | Path,
+    design: RigDesign | WildDesign | str | Path,
     out: str | Path,
     seed: int | np.random.Generator = 0,
     *,
@@ -65,7 +67,7 @@ def simulate(
 
     Parameters
     ----------
-    design : RigDesign or path
+    design : RigDesign, WildDesign or path
         A rig-design.toml, or what `read_design` made of one, or built in Python.
     out : path
         A folder that does not exist, is empty, or holds a former simulation, which is replaced.
@@ -90,11 +92,23 @@ def simulate(
     out = Path(out)
     _refuse(out)
     rng = np.random.default_rng(seed)
-    rig = VirtualRig.of(design if isinstance(design, RigDesign) else read_design(Path(design)))
+    designed = read_any_design(design) if isinstance(design, str | Path) else design
+    if isinstance(designed, WildDesign):
+        scene = designed.scene(rng)
+
+        def write(folder: Path) -> Simulation:
+            return _write_wild(scene, folder, out, rng, on_image)
+
+    else:
+        rig = VirtualRig.of(designed)
+
+        def write(folder: Path) -> Simulation:
+            return _write(rig, folder, out, rng, on_image, threads)
+
     try:
         part = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".part", dir=out.parent))
         try:
-            result = _write(rig, part, out, rng, on_image, threads)
+            result = write(part)
             part.chmod(0o755)
             _replace(part, out)
         finally:
@@ -189,6 +203,17 @@ def _write(
         (folder / "capture.toml").write_text(_capture_toml(motion), encoding="utf-8")
     _write_truth(rig, folder / "truth", on_planes, on_object, expected)
     return Simulation(final, jig.names, frames, total, expected)
+
+
+def _write_wild(
+    scene: WildScene, folder: Path, final: Path, rng: np.random.Generator, on_image: Callable[[int, int], None] | None
+) -> Simulation:
+    """Pictures, TOML and truth of a session that nobody prepared."""
+    truth = write_wild(scene, folder, rng, on_image=on_image)
+    (folder / "truth").mkdir()
+    told = {"format": 1, "made_by": _MARK, **truth}
+    (folder / "truth" / "truth.json").write_text(json.dumps(told, indent=1), encoding="utf-8")
+    return Simulation(final, (), scene.frames, scene.images, None)
 
 
 def _save(folder: Path, images: Iterable[NDArray[Any]], *, first: int = 0, digits: int = 1) -> None:

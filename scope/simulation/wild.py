@@ -6,18 +6,70 @@ pinhole with radial distortion and a plane of light; nothing here is shared with
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.geometry import Array
+from calibration.geometry import Array, Bools
+from scope.simulation.wild_table import (
+    DICTIONARY,
+    MARKER,
+    PLACES,
+    look_at_table,
+    place_table,
+    positions,
+    truth_of,
+)
 
 _ROWS, _COLUMNS, _PITCH = 6, 8, 20.0  # inner corners; mm
 _WIDTH, _HEIGHT = 640, 480
 _WALL = 900.0  # mm: what stands behind the board
+_MARKED = 12  # positions at which the empty table is seen
+_DIM = 0.15  # of the room's light, while the table turns
+_CALIBRATION = """format = 1
+units = "mm"
+
+[target]
+kind = "chessboard"
+rows = {rows}
+columns = {columns}
+pitch = {pitch}
+
+[[views]]
+images = "board/*.jpg"
+
+[[views]]
+images = "laser/*.jpg"
+laser = "same"
+"""
+_STAGE = """
+[[stage]]
+kind = "turntable"
+images = "markers/*.jpg"
+positions = [{positions}]
+
+[stage.target]
+kind = "markers"
+dictionary = "{dictionary}"
+marker = {marker}
+places = [
+{places}]
+"""
+_CAPTURE = """format = 1
+units = "mm"
+images = "turn/*.jpg"
+
+[motion]
+kind = "turntable"
+moves = "object"
+axis = "rig"
+step = {step}
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +98,12 @@ class WildScene:
     lasers: int  # views with it
     blurred: int  # of the lasers' views: shaken
     missing: int  # of the lasers' views: without a board
+    frames: int = 0  # of a full turn of a turntable with markers, that a block and a ball stand on; 0: no turntable
+
+    @property
+    def images(self) -> int:
+        """Pictures in all."""
+        return self.boards + self.lasers + (_MARKED + self.frames if self.frames else 0)
 
 
 def draw_wild(rng: np.random.Generator) -> WildScene:
@@ -79,23 +137,65 @@ def draw_wild(rng: np.random.Generator) -> WildScene:
     )
 
 
-def write_wild(scene: WildScene, folder: str | Path, rng: np.random.Generator) -> None:
-    """Write calibration.toml, board/*.jpg and laser/*.jpg of a session into a folder."""
+def write_wild(
+    scene: WildScene,
+    folder: str | Path,
+    rng: np.random.Generator,
+    *,
+    on_image: Callable[[int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Write calibration.toml, board/*.jpg and laser/*.jpg of a session into a folder; returns the truth.
+
+    With ``frames`` also markers/*.jpg, turn/*.jpg and capture.toml. Lengths of the truth in mm, in C. ``on_image`` is called
+    with (pictures written, pictures in all) after each.
+    """
     folder = Path(folder)
     rays = _sight(scene)
-    for kind, count in (("board", scene.boards), ("laser", scene.lasers)):
+    done = 0
+
+    def save(kind: str, k: int, image: Array) -> None:
+        nonlocal done
         (folder / kind).mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(folder / kind / f"im{k:02d}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, scene.quality])
+        done += 1
+        if on_image is not None:
+            on_image(done, scene.images)
+
+    for kind, count in (("board", scene.boards), ("laser", scene.lasers)):
         for k in range(count):
             lit = kind == "laser"
             pose = None if lit and k < scene.missing else _pose(scene, rng, lit)
             shaken = lit and scene.missing <= k < scene.missing + scene.blurred
-            image = _picture(scene, rays, pose, lit, 4.0 if shaken else 0.0, rng)
-            cv2.imwrite(str(folder / kind / f"im{k:02d}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, scene.quality])
-    (folder / "calibration.toml").write_text(
-        f'format = 1\nunits = "mm"\n\n[target]\nkind = "chessboard"\nrows = {_ROWS}\ncolumns = {_COLUMNS}\n'
-        f'pitch = {_PITCH}\n\n[[views]]\nimages = "board/*.jpg"\n\n[[views]]\nimages = "laser/*.jpg"\nlaser = "same"\n',
-        encoding="utf-8",
-    )
+            save(kind, k, _picture(scene, rays, pose, lit, 4.0 if shaken else 0.0, rng))
+    truth: dict[str, Any] = {
+        "K": [[scene.focal, 0.0, float(scene.centre[0])], [0.0, scene.focal, float(scene.centre[1])], [0.0, 0.0, 1.0]],
+        "dist": [scene.radial, 0.0, 0.0, 0.0, 0.0],
+        "laser": {"normal": scene.normal.tolist(), "offset": scene.offset},
+    }
+    text = _CALIBRATION.format(rows=_ROWS, columns=_COLUMNS, pitch=_PITCH)
+    if scene.frames:
+        table = place_table(scene.normal, scene.offset, rng)
+        wall = cv2.resize(rng.uniform(0.2, 0.45, (4, 5, 1)), (_WIDTH, _HEIGHT), interpolation=cv2.INTER_CUBIC)
+        wall = wall[..., None] * [0.75, 0.9, 1.0]
+        source = scene.normal * scene.offset - 40.0 * np.cross(scene.normal, [0.0, 1.0, 0.0])
+        for k, degrees in positions(_MARKED):
+            seen = look_at_table(table, degrees, rays, source, things=False)
+            save("markers", k, _exposed(scene, rays, _before(wall, seen), 1.0, 0.0, rng))
+        for k, degrees in positions(scene.frames):
+            seen = look_at_table(table, degrees, rays, source, things=True)
+            save("turn", k, _exposed(scene, rays, _before(wall, seen), _DIM, 0.0, rng))
+        places = "".join(f"  {{ id = {number}, x = {x}, y = {y} }},\n" for number, x, y in PLACES)
+        text += _STAGE.format(
+            positions=", ".join(f"{a:g}" for _, a in positions(_MARKED)),
+            dictionary=DICTIONARY,
+            marker=MARKER,
+            places=places,
+        )
+        capture = _CAPTURE.format(step=f"{360.0 / scene.frames:.10g}")
+        (folder / "capture.toml").write_text(capture, encoding="utf-8")
+        truth["turntable"] = truth_of(table)
+    (folder / "calibration.toml").write_text(text, encoding="utf-8")
+    return truth
 
 
 def _sight(scene: WildScene) -> Array:
@@ -143,12 +243,35 @@ def _picture(
         board, on = _board(flat, scene, float(middle[2] / scene.focal), rng)
         colour = np.where(on[..., None], board[..., None], colour)
         depth = np.where(on, reach, depth)
+    facing = np.full(depth.shape, 1.0 if lit else 0.0)
+    return _exposed(scene, rays, (depth, colour, facing), 1.0, shake, rng)
+
+
+def _before(wall: Array, seen: tuple[Array, Array, Array, Bools]) -> tuple[Array, Array, Array]:
+    """Depth, colour and cosine to the laser of a table before the wall."""
+    reach, colour, facing, on = seen
+    return np.where(on, reach, _WALL), np.where(on[..., None], colour, wall), np.where(on, facing, 0.5)
+
+
+def _exposed(
+    scene: WildScene,
+    rays: Array,
+    surface: tuple[Array, Array, Array],
+    room: float,
+    shake: float,
+    rng: np.random.Generator,
+) -> Array:
+    """The picture (H, W, 3), uint8, of depths (H, W) mm, colours (H, W, 3) and cosines to the laser (H, W).
+
+    ``room`` is the part of the room's light that is on, ``shake`` its blur in px.
+    """
+    depth, colour, facing = surface
     v, u = np.mgrid[-0.5 : 0.5 : _HEIGHT * 1j, -0.5 : 0.5 : _WIDTH * 1j]
-    light = colour * (scene.paper * (1.0 + scene.gradient[0] * u + scene.gradient[1] * v))[..., None]
-    if lit:
+    light = colour * (room * scene.paper * (1.0 + scene.gradient[0] * u + scene.gradient[1] * v))[..., None]
+    if facing.any():
         off = (rays @ scene.normal) * depth - scene.offset
         grain = rng.gamma(1 / max(scene.speckle, 0.02) ** 2, max(scene.speckle, 0.02) ** 2, off.shape)
-        stripe = scene.power * np.exp(-0.5 * (off / scene.width) ** 2) * grain
+        stripe = scene.power * np.exp(-0.5 * (off / scene.width) ** 2) * grain * facing
         tint = np.full(3, 0.08)
         tint[scene.colour] = 1.0
         light += (stripe[..., None] * tint) * (0.25 + 0.75 * colour)

@@ -58,6 +58,25 @@ def test_turntable(start: float) -> None:
     assert stage.rms_mm < 1e-8
 
 
+@pytest.mark.parametrize("positions", [4, 6, 12])
+def test_the_axis_of_a_turntable_is_as_sure_as_its_repetition(positions: int) -> None:
+    """Poses of a rigid target err as a whole, and a half turn tells nothing of the axis by its own rotation alone."""
+    rng = np.random.default_rng(3)
+    angles = 2 * np.pi * np.arange(positions) / positions
+    clean = turned(angles)
+    stages = []
+    for _ in range(80):
+        tilt = Rotation.from_rotvec(rng.normal(0, 2e-3, (positions, 3)))
+        shift = rng.normal(0, [0.05, 0.05, 0.4], (positions, 3))
+        centres = clean.mean(axis=1)
+        tracks = np.stack([centres[k] + tilt[k].apply(clean[k] - centres[k]) + shift[k] for k in range(positions)])
+        stages.append(fit_turntable(tracks + rng.normal(0, 0.02, tracks.shape), angles))
+    across = np.cross([stage.direction for stage in stages], AXIS)
+    true = np.sqrt((across**2).sum(axis=1).mean() / 2)
+    stated = np.sqrt(np.mean([stage.direction_sigma**2 for stage in stages]))
+    assert 0.8 < stated / true < 1.25
+
+
 def test_a_stage_that_does_not_do_as_told() -> None:
     with pytest.raises(CalibrationError, match="all 3 positions are 5"):
         fit_linear(np.tile(MARKS, (3, 1, 1)), np.full(3, 5.0))

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
-from scope.simulation import draw_wild, write_wild
+import scope
+from calibration.errors import FileError
+from scope.simulation import WildDesign, draw_wild, read_any_design, write_wild
+
+WEBCAM = Path(__file__).parents[3] / "examples" / "webcam-design.toml"
 
 
 def test_a_wild_session_has_its_camera_in_its_boards(tmp_path: Path) -> None:
@@ -25,3 +32,73 @@ def test_a_wild_session_has_its_camera_in_its_boards(tmp_path: Path) -> None:
     error, matrix, *_ = cv2.calibrateCamera([marks] * len(corners), corners, (640, 480), None, None)
     assert error < 0.5
     assert abs(matrix[0, 0] / scene.focal - 1.0) < 0.03
+
+
+def test_the_markers_of_a_wild_turntable_go_about_its_axis(tmp_path: Path) -> None:
+    """By OpenCV's detector and camera: a marker's place in the picture is where the truth puts it at that angle."""
+    rng = np.random.default_rng(2)
+    scene = replace(draw_wild(rng), frames=8, boards=0, lasers=0, noise=1.0, quality=95, paper=170.0)
+    truth = write_wild(scene, tmp_path, rng)
+    up, middle = np.array(truth["turntable"]["axis_direction"]), np.array(truth["turntable"]["axis_point"])
+    across = np.cross(up, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    kinds = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    ways = cv2.aruco.DetectorParameters()
+    ways.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    detector = cv2.aruco.ArucoDetector(kinds, ways)
+    off = []
+    for k, path in enumerate(sorted((tmp_path / "markers").glob("*.jpg"))):
+        corners, numbers, _ = detector.detectMarkers(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+        for four, number in zip(corners, () if numbers is None else numbers.ravel(), strict=True):
+            angle = {5: 0.0, 27: 90.0, 42: 180.0, 18: 270.0}[int(number)] + 30.0 * k
+            turn = cv2.Rodrigues(np.radians(angle) * up)[0]
+            place = middle + turn @ (90.0 * across)
+            pixel = cv2.projectPoints(
+                place[None], np.zeros(3), np.zeros(3), np.array(truth["K"]), np.array(truth["dist"])
+            )[0]
+            a, b, c, d = four[0]
+            t = np.linalg.solve(np.column_stack([c - a, b - d]), b - a)[0]  # where the diagonals cross
+            off.append(np.linalg.norm(a + t * (c - a) - pixel.ravel()))
+    assert len(off) >= 36
+    assert np.median(off) < 0.35
+
+
+def test_a_desk_is_calibrated_and_scanned_without_editing_anything(tmp_path: Path) -> None:
+    design = read_any_design(WEBCAM)
+    assert isinstance(design, WildDesign)
+    made = scope.simulate(
+        replace(design, turntable=replace(design.turntable, frames=18), boards=7, lasers=10), tmp_path / "desk", 3
+    )
+    truth = json.loads((tmp_path / "desk" / "truth" / "truth.json").read_text())
+    assert (made.frames, made.images) == (18, 7 + 10 + 12 + 18)
+    found = scope.calibrate(tmp_path / "desk" / "calibration.toml")
+    assert found.passed
+    (stage,) = found.rig.stages
+    axis, point = np.array(truth["turntable"]["axis_direction"]), np.array(truth["turntable"]["axis_point"])
+    assert np.degrees(np.arccos(min(stage.direction @ axis, 1.0))) < 0.3
+    cloud = scope.scan(tmp_path / "desk" / "capture.toml", found.rig)
+    x = np.cross(axis, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(axis, [0.0, 0.0, 1.0]))
+    flat = (cloud.points - point) @ np.stack([x, np.cross(axis, x), axis]).T
+    (x0, y0, _), (x1, y1, height) = truth["turntable"]["block"]
+    on = (flat[:, 0] > x0 + 4) & (flat[:, 0] < x1 - 4) & (flat[:, 1] > y0 + 4) & (flat[:, 1] < y1 - 4)
+    top = flat[on & (flat[:, 2] > 0.7 * height), 2]
+    table = flat[(np.hypot(flat[:, 0], flat[:, 1]) > 70) & (np.abs(flat[:, 2]) < 6), 2]
+    assert len(top) > 100
+    assert np.median(top) - np.median(table) == pytest.approx(height, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[wild]\nlens = 3\n", "wild.lens: unknown key"),
+        ("[wild]\npaper = -1.0\n", "wild.paper: found -1.0"),
+        ("[wild]\n[wild.turntable]\nframes = 1\n", "wild.turntable.frames: found 1"),
+        ("[wild]\n[camera]\n", "stands alone"),
+        ('units = "cm"\n[wild]\n', 'units = "mm"'),
+    ],
+)
+def test_a_wild_design_that_cannot_be_is_refused(tmp_path: Path, text: str, told: str) -> None:
+    (tmp_path / "d.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(FileError, match=told) as error:
+        read_any_design(tmp_path / "d.toml")
+    assert len(str(error.value)) < 320 + len(str(tmp_path))
