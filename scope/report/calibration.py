@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.grouping import grouped
 from calibration.rays import TwoPlaneFit, normal_equations, ray_uncertainty
+from calibration.rig import sha256_of
 from calibration.verification import block_image
 from scope.calibrating import Calibration, MeasuredPlane
 from scope.report import pictures
@@ -174,6 +175,12 @@ def calibration_page(found: Calibration) -> str:
     page.heading("Marks")
     for seen in found.measured:
         _add_marks(page, seen)
+    page.about(
+        "calibration",
+        f"{found.plan.path}, sha256 {sha256_of(found.plan.path)[:12]}" if found.plan.path.is_file() else "",
+    )
+    page.about("images and files", str(len(found.rig.inputs)))
+    page.about("camera", found.rig.camera_id)
     return page.html()
 
 

@@ -6,6 +6,7 @@ import base64
 import html
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Literal, TypeAlias
 
 import cv2
@@ -14,21 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from calibration.geometry import Array
 from scope.report._page_cloud import CLOUD_SCRIPT
+from scope.report._style import STYLE
+from scope.version import __version__
 
 Level = Literal["good", "warn", "bad", "plain"]
 Picture: TypeAlias = NDArray[np.uint8]  # (rows, columns) grey or (rows, columns, 3) BGR
 
-_STYLE = """
-:root{color-scheme:light}body{font:15px/1.5 system-ui,sans-serif;max-width:68rem;margin:2rem auto;padding:0 1rem;color:#1c2430;background:#fff}
-h1{font-size:1.6rem;margin:0 0 .6rem}h2{font-size:1.15rem;margin:2rem 0 .5rem;border-bottom:1px solid #d5dae1;padding-bottom:.2rem}
-.verdict{padding:.7rem 1rem;border-left:6px solid;border-radius:3px;font-size:1.05rem;margin:0 0 1rem}
-.good{background:#e8f5ec;border-color:#1f8a4c}.warn{background:#fff6e0;border-color:#c98a00}.bad{background:#fdeaea;border-color:#c0342c}.plain{background:#eef1f5;border-color:#8793a3}
-table{border-collapse:collapse;margin:.5rem 0;font-variant-numeric:tabular-nums}th,td{padding:.25rem .7rem;border-bottom:1px solid #e2e6eb;text-align:right;vertical-align:top}
-th{background:#f4f6f8;font-weight:600}td:first-child,th:first-child{text-align:left}td.text{text-align:left}
-figure{margin:.7rem 1rem .7rem 0;display:inline-block;vertical-align:top;max-width:100%}figure img{max-width:100%;border:1px solid #d5dae1}
-figcaption{color:#55606e;font-size:.88rem;max-width:40rem}.cloud{width:min(100%,60rem);height:32rem;background:#10151c;display:block;touch-action:none}
-svg text{font:11px system-ui,sans-serif;fill:#333}footer{margin-top:3rem;color:#7a8494;font-size:.85rem}
-"""
+_CONTENTS = 4  # sections, from which a page has a table of contents
+_QUALITY = 85
 _COLOURS = ("#1f5fa8", "#c0342c", "#1f8a4c", "#8a5bb5", "#c98a00", "#3aa6a6")
 
 
@@ -41,34 +35,56 @@ class Page:
 
     title: str
     _parts: list[str] = field(default_factory=list)
+    _figures: list[str] = field(default_factory=list)  # that stand side by side until something else comes
+    _headings: list[str] = field(default_factory=list)
+    _about: list[tuple[str, str]] = field(default_factory=list)
     _has_cloud: bool = False
+
+    def about(self, what: str, value: str) -> None:
+        """Say in the footer what the page is of: rig, camera, inputs; empty values are left out."""
+        if value:
+            self._about.append((what, value))
 
     def verdict(self, level: Level, text: str) -> None:
         """Draw the box that says pass or fail, and why, in plain words."""
-        self._parts.append(f'<p class="verdict {level}">{html.escape(text)}</p>')
+        self._add(f'<p class="verdict {level}">{html.escape(text)}</p>')
 
     def heading(self, text: str) -> None:
         """Start a section."""
-        self._parts.append(f"<h2>{html.escape(text)}</h2>")
+        self._headings.append(text)
+        self._add(f'<h2 id="s{len(self._headings)}">{html.escape(text)}</h2>')
 
     def text(self, text: str) -> None:
         """Add a paragraph."""
-        self._parts.append(f"<p>{html.escape(text)}</p>")
+        self._add(f"<p>{html.escape(text)}</p>")
 
     def table(self, headers: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-        """Add a table; cells that are no numbers are set to the left."""
-        head = "".join(f"<th>{html.escape(cell)}</th>" for cell in headers)
+        """Add a table; cells that are no numbers are set to the left, and the heading above them."""
+        rows = [list(row) for row in rows]
+        worded = [any(len(row) > k and not _is_number(row[k]) for row in rows) for k in range(len(headers))]
+        head = "".join(
+            f"<th{' class=text' if text else ''}>{html.escape(cell)}</th>"
+            for cell, text in zip(headers, worded, strict=True)
+        )
         body = "".join("<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in rows)
-        self._parts.append(f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>")
+        self._add(f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>')
 
     def image(self, picture: Picture, caption: str, *, width: int | None = None) -> None:
-        """Add a picture (grey or BGR) as PNG; ``width`` is the width on the page, px."""
-        done, data = cv2.imencode(".png", picture)
-        if not done:
-            raise ValueError("the picture is not an image of 8 bits")
-        shown = f' width="{width}"' if width else ""
-        source = base64.b64encode(data.tobytes()).decode("ascii")
-        self._figure(f'<img{shown} alt="{html.escape(caption)}" src="data:image/png;base64,{source}">', caption, width)
+        """Add a picture (grey or BGR) of 8 bits; ``width`` is the width on the page, px.
+
+        It is kept at twice the width at most, as WebP or PNG, whichever is smaller.
+        """
+        if width is not None and picture.shape[1] > 2 * width:
+            scale = 2.0 * width / picture.shape[1]
+            picture = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+        kind, data = _smallest(picture)
+        size = f' width="{width}"' if width else ""
+        source = base64.b64encode(data).decode("ascii")
+        self._figure(
+            f'<img{size} loading="lazy" alt="{html.escape(caption)}" src="data:image/{kind};base64,{source}">',
+            caption,
+            width,
+        )
 
     def plot(
         self,
@@ -95,21 +111,51 @@ class Page:
         payload["xyz"], payload["rgb"] = shown - centre, colour
         data = base64.b64encode(payload.tobytes()).decode("ascii")
         note = caption if step == 1 else f"{caption} (every {step}th of {len(points)} points)"
-        self._figure(f'<canvas class="cloud" data-points="{data}"></canvas>', note)
+        self._figure(f'<canvas class="cloud" data-points="{data}"></canvas>', note, kind=' class="whole turned"')
         self._has_cloud = True
 
     def html(self) -> str:
         """The whole page."""
+        self._close_figures()
         script = f"<script>{CLOUD_SCRIPT}</script>" if self._has_cloud else ""
         title = html.escape(self.title)
+        long = len(self._headings) >= _CONTENTS
+        contents = "".join(f'<li><a href="#s{k}">{html.escape(h)}</a></li>' for k, h in enumerate(self._headings, 1))
+        nav = f'<nav aria-label="Contents"><ol>{contents}</ol></nav>' if long else ""
+        about = [
+            *self._about,
+            ("made", f"{datetime.now().astimezone().isoformat(timespec='seconds')} by SCOPE {__version__}"),
+        ]
+        told = "".join(f"<dt>{html.escape(what)}</dt><dd>{html.escape(value)}</dd>" for what, value in about)
         return (
-            f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>'
-            f"</head><body><h1>{title}</h1>{''.join(self._parts)}{script}</body></html>\n"
+            f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">'
+            f'<title>{title}</title><style>{STYLE}</style></head><body><div class="page{" long" if long else ""}">{nav}<main><h1>{title}</h1>'
+            f"{''.join(self._parts)}<footer><dl>{told}</dl></footer></main></div>{script}</body></html>\n"
         )
 
-    def _figure(self, content: str, caption: str, width: int | None = None) -> None:
+    def _add(self, content: str) -> None:
+        self._close_figures()
+        self._parts.append(content)
+
+    def _close_figures(self) -> None:
+        if self._figures:
+            self._parts.append(f'<div class="figures">{"".join(self._figures)}</div>')
+            self._figures.clear()
+
+    def _figure(self, content: str, caption: str, width: int | None = None, *, kind: str = "") -> None:
         style = f' style="width:{width + 2}px"' if width else ""  # a long caption must not push its neighbour below
-        self._parts.append(f"<figure{style}>{content}<figcaption>{html.escape(caption)}</figcaption></figure>")
+        self._figures.append(f"<figure{kind}{style}>{content}<figcaption>{html.escape(caption)}</figcaption></figure>")
+
+
+def _smallest(picture: Picture) -> tuple[str, bytes]:
+    """Name and bytes of the smaller of two encodings; maps of few colours stay exact."""
+    done, exact = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not done:
+        raise ValueError("the picture is not an image of 8 bits")
+    done, close = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
+    if done and 3 * len(close) < 2 * len(exact):
+        return "webp", close.tobytes()
+    return "png", exact.tobytes()
 
 
 def colour_bgr(values: Array, low: float | None = None, high: float | None = None) -> Picture:
@@ -129,9 +175,12 @@ def colour_bgr(values: Array, low: float | None = None, high: float | None = Non
     return np.asarray(picture, dtype=np.uint8)
 
 
+def _is_number(text: str) -> bool:
+    return text.strip().lstrip("+-−±<>≤≥ ")[:1].isdigit() or text.strip() in {"", "-"}
+
+
 def _cell(text: str) -> str:
-    number = text.strip().lstrip("+-−±<>≤≥ ")[:1].isdigit() or text.strip() in {"", "-"}
-    return f"<td>{html.escape(text)}</td>" if number else f'<td class="text">{html.escape(text)}</td>'
+    return f"<td>{html.escape(text)}</td>" if _is_number(text) else f'<td class="text">{html.escape(text)}</td>'
 
 
 def _plot_svg(
@@ -157,13 +206,13 @@ def _plot_svg(
     parts = [f'<svg viewBox="0 0 {width} {height}" width="{width}" role="img">']
     for value in _ticks(x0, x1):
         tick = float(at(np.array(value), np.array(y0))[0])
-        parts.append(f'<line x1="{tick:.1f}" x2="{tick:.1f}" y1="{top}" y2="{height - bottom}" stroke="#e4e8ed"/>')
+        parts.append(f'<line x1="{tick:.1f}" x2="{tick:.1f}" y1="{top}" y2="{height - bottom}" class="grid"/>')
         parts.append(
             f'<text x="{tick:.1f}" y="{height - bottom + 15}" text-anchor="middle">{_label(value, log)}</text>'
         )
     for value in _ticks(y0, y1):
         tick = float(at(np.array(x0), np.array(value))[1])
-        parts.append(f'<line x1="{left}" x2="{width - right}" y1="{tick:.1f}" y2="{tick:.1f}" stroke="#e4e8ed"/>')
+        parts.append(f'<line x1="{left}" x2="{width - right}" y1="{tick:.1f}" y2="{tick:.1f}" class="grid"/>')
         parts.append(f'<text x="{left - 6}" y="{tick + 4:.1f}" text-anchor="end">{_label(value, log)}</text>')
     for k, (name, x, y) in enumerate(curves):
         colour = _COLOURS[k % len(_COLOURS)]

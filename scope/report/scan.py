@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.rig import sha256_of
 from ranging.background import Image, choose_channel, to_gray
 from scope.cloud import ScanCloud, lattice_index
 from scope.report import pictures
@@ -114,7 +115,17 @@ def scan_page(found: Scan, capture: str | Path) -> str:
             page.text(f"{pair.first} and {pair.second}: {_agreement_text(pair)}.")
     add_uncertainty(page, cloud)
     _add_hard_frames(page, found, Path(capture))
+    page.about(
+        "capture", f"{capture}, sha256 {sha256_of(Path(capture))[:12]}" if Path(capture).is_file() else str(capture)
+    )
+    about_cloud(page, cloud)
     return page.html()
+
+
+def about_cloud(page: Page, cloud: ScanCloud) -> None:
+    """Say in the footer of which rig a cloud is."""
+    if cloud.rig_sha256:
+        page.about("rig", f"sha256 {cloud.rig_sha256[:12]}, {'verified' if cloud.verified else 'not verified'}")
 
 
 def add_uncertainty(page: Page, cloud: ScanCloud) -> None:

@@ -11,7 +11,7 @@ from calibration.geometry import Array, Rays
 from calibration.rig import Rig
 from scope.cloud import READ, ScanCloud, unknown
 from scope.report.page import Page
-from scope.report.scan import add_uncertainty, add_views
+from scope.report.scan import about_cloud, add_uncertainty, add_views
 
 _GRID = 16  # rays along the longer side of the image
 _ALONG = 300  # points of a ray
@@ -46,6 +46,7 @@ def _cloud_page(path: Path, cloud: ScanCloud) -> str:
     add_views(page, cloud)
     if np.isfinite(cloud.sigma).any():
         add_uncertainty(page, cloud)
+    about_cloud(page, cloud)
     return page.html()
 
 
@@ -66,6 +67,8 @@ def _rig_page(path: Path, rig: Rig) -> str:
         normal = ", ".join(f"{x:.5f}" for x in laser.plane.normal)
         rows.append([name, laser.along, laser.channel, normal, f"{laser.plane.offset:.3f}", f"{laser.rms_mm:.4f}"])
     page.table(("laser", "runs along", "read in", "normal", "offset, mm", "rms, mm"), rows)
+    page.about("rig", f"sha256 {rig.sha256[:12]}" if rig.sha256 else "")
+    page.about("camera", rig.camera_id)
     return page.html()
 
 
