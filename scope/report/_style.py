@@ -35,5 +35,5 @@ footer dl{display:grid;grid-template-columns:max-content minmax(0,1fr);gap:.1rem
 --good:#fff;--warn:#fff;--bad:#fff;--plain:#fff;--grid:#ddd;--link:#000}
 body{font-size:10pt}.page,.page.long{display:block;padding:0}nav,canvas.cloud,figure.turned{display:none}.wide{overflow:visible}
 table,figure,.verdict{break-inside:avoid}tr{break-inside:avoid}thead{display:table-header-group}h2{break-after:avoid}td.text{max-width:none}
-figure img{max-height:90mm;width:auto}}
+figure:not(.whole){width:47%!important}figure img{max-height:90mm}}
 """
