@@ -70,8 +70,8 @@ def fit_turntable(tracks: Array, angles: Array) -> Stage:
     Every pair of positions gives a rotation (Kabsch 1976) whose axis, signed by the stated turn, is averaged with the sine of
     the turn as weight; from there direction and point are fitted by least squares over all marks turned back to the first
     position. The marks of a position err together, as the pose of the target does, so that the direction's uncertainty comes
-    from what each position says against the rest (a clustered sandwich, MacKinnon and White 1985), and from the scatter
-    of the marks where that is more. ``CalibrationError`` for turns under 2 degrees.
+    from what each position, left out, moves it by (the jackknife; MacKinnon and White 1985), and from the scatter of the
+    marks where that is more. ``CalibrationError`` for turns under 2 degrees.
     """
     turns = angles - angles[0]
     if np.abs(turns).max() < np.deg2rad(2.0):
@@ -142,13 +142,19 @@ def _turned_back(tracks: Array, turns: Array, direction: Array, point: Array) ->
 def _direction_sigma(residual: Array, slopes: Array) -> float:
     """Standard deviation (rad) of the direction about either perpendicular."""
     positions, marks = residual.shape[:2]
-    inverse = np.linalg.pinv(np.einsum("pmia,pmib->ab", slopes, slopes), rcond=1e-12, hermitian=True)
+    each = np.einsum("pmia,pmib->pab", slopes, slopes)
+    whole = each.sum(axis=0)
     freedom = max(3 * (positions - 1) * marks - 4, 1)
-    alike = inverse * float((residual**2).sum()) / freedom
-    each = np.einsum("pmia,pmi->pa", slopes, residual)
-    told = positions * 6 - 6  # a pose a position, one of them that of the target
-    clustered = inverse @ (each.T @ each) @ inverse * told / max(told - 4, 1)
-    return float(np.sqrt(max(np.trace(alike[:2, :2]), np.trace(clustered[:2, :2])) / 2))
+    alike = np.linalg.pinv(whole, rcond=1e-12, hermitian=True) * float((residual**2).sum()) / freedom
+    told = np.einsum("pmia,pmi->pa", slopes, residual)
+    if positions < 3:
+        return float(np.sqrt(np.trace(alike[:2, :2]) / 2))
+    without = np.linalg.pinv(whole - each, rcond=1e-12, hermitian=True)  # as if each position were left out in turn
+    moves = np.einsum("pab,pb->pa", without, told)
+    jackknife = (
+        moves.T @ moves
+    )  # (n - 1) / n of it, times n / (n - 1), since each had its part in the target's mean pose
+    return float(np.sqrt(max(np.trace(alike[:2, :2]), np.trace(jackknife[:2, :2])) / 2))
 
 
 def _across(direction: Array) -> Array:

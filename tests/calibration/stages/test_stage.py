@@ -58,14 +58,14 @@ def test_turntable(start: float) -> None:
     assert stage.rms_mm < 1e-8
 
 
-@pytest.mark.parametrize("positions", [4, 6, 12])
+@pytest.mark.parametrize("positions", [4, 5, 8, 16])
 def test_the_axis_of_a_turntable_is_as_sure_as_its_repetition(positions: int) -> None:
     """Poses of a rigid target err as a whole, and a half turn tells nothing of the axis by its own rotation alone."""
     rng = np.random.default_rng(3)
     angles = 2 * np.pi * np.arange(positions) / positions
     clean = turned(angles)
     stages = []
-    for _ in range(80):
+    for _ in range(200 // positions + 60):
         tilt = Rotation.from_rotvec(rng.normal(0, 2e-3, (positions, 3)))
         shift = rng.normal(0, [0.05, 0.05, 0.4], (positions, 3))
         centres = clean.mean(axis=1)
