@@ -6,7 +6,7 @@ SciPy nor Open3D.
 In: files or arrays: images of targets, laser stripes, a mesh, a cloud.
 Out: rigs, clouds, roughness, poses, checks, and the pages that show them.
 Read: the rooms session, calibrating, hand_eye, scanning, cloud; heightmap, roughness, model, pose, check, export;
-    simulation, printing, report, demo. Tools: mesh, optional, errors, version.
+    simulation, design, printing, report, demo. Tools: mesh, optional, errors, version.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ _HOMES = {
     "Turntable": "ranging.motion",
     "calibrate": "scope.calibrating",
     "check_artefact": "scope.check",
+    "design_rig": "scope.design",
     "estimate_pose": "scope.pose",
     "hand_eye": "scope.hand_eye",
     "measure_heights": "scope.roughness",

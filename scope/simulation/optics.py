@@ -239,6 +239,10 @@ class ExactLaser:
         rays = Rays(self.origin + self.window.shift(direction)[:, None] * self.window.normal, direction)
         return rays, np.asarray(np.linalg.norm(points - rays.origin, axis=1) * (direction @ self.normal))
 
+    def width_at(self, points: Array) -> Array:
+        """Width (N,) mm of the light across the sheet at points (N, 3), one sigma: the same everywhere."""
+        return np.full(len(points), self.width)
+
     def sheet_normal(self, points: Array) -> Array:
         """Unit normals (N, 3) of the sheet at points (N, 3): the gradient of the distance, by central differences."""
         if self.window is None:

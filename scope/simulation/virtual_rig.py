@@ -120,6 +120,10 @@ class VirtualRig:
         turn = Pose.from_rotation_vector(np.radians(s) * axis / np.linalg.norm(axis), np.zeros(3))
         return Pose(turn.rotation, point - turn.rotation @ point)
 
+    def blur_at(self, points: Array) -> Array:
+        """Blur (N,) px of the lens for points (N, 3) in C, one sigma: the same everywhere."""
+        return np.full(len(points), self.sensor.blur_px)
+
     def look(self, plane: int, rng: np.random.Generator) -> TargetLook:
         """Marks and brightness of one plane's target, faults included."""
         jig, name = self.design.jig, self.design.jig.names[plane]

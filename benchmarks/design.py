@@ -1,0 +1,203 @@
+"""Predicted rigs against rendered ones: ``python -m benchmarks.design [DESIGNS] [SEED]``.
+
+Random designs (with and without window, square or leaning jig, small and large blur, speckle or none) are predicted by
+`scope.design` and, as the other witness, rendered, calibrated and ranged. Printed is predicted over found: the noise along the
+ray at twenty places (scatter of repeated exposures), and the rms of the calibration's error over the sheet (several
+calibrations of each design, against the exact rays and sheet); and the time of the prediction over that of one
+simulated session.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.shared import head, row
+from calibration.geometry import Array, Pose
+from calibration.targets import SpotGrid
+from ranging.triangulation import triangulate
+from scope.calibrating import calibrate
+from scope.design import DesignResult, design_rig
+from scope.scanning import Scanner, scan
+from scope.session import CalibrationSession, PlaneView
+from scope.simulation import RigDesign, VirtualRig, simulate
+from scope.simulation.rig_design import (
+    CameraDesign,
+    JigDesign,
+    LaserDesign,
+    WindowDesign,
+)
+from scope.simulation.solids import Part, Scene, Sheet
+
+EXPOSURES, LINES = 24, 13  # of each place: repeats, and neighbouring lines that are taken together
+CALIBRATIONS = 3  # of each design
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Predicted over found."""
+
+    noise: Array  # (places,)
+    calibration: tuple[float, float]  # rms over the sheet, mm: predicted, found
+
+
+def random_design(rng: np.random.Generator, *, window: bool) -> RigDesign:
+    """A rig of the kind people build, of moderate size so that it renders in seconds."""
+    focal = float(rng.uniform(700.0, 1100.0))
+    near = float(rng.uniform(280.0, 380.0))
+    depth = float(rng.uniform(60.0, 120.0))
+    middle = near + depth / 2
+    baseline = middle * float(np.tan(np.radians(rng.uniform(18.0, 35.0))))
+    origin = (
+        (float(rng.uniform(-8, 8)), -baseline, 6.0)
+        if rng.random() < 0.5
+        else (-baseline, float(rng.uniform(-8, 8)), 6.0)
+    )
+    pitch = 0.9 * 640.0 / focal * near / 17.0
+    return RigDesign(
+        camera=CameraDesign(
+            (640, 480), focal, (float(rng.uniform(310, 330)), float(rng.uniform(230, 250))),
+            distortion=(float(rng.uniform(-0.2, 0.05)), 0.04, 3e-4, -3e-4, 0.0), gain_e=float(rng.uniform(10, 60)),
+            read_noise=float(rng.uniform(0.6, 2.0)), blur_px=float(rng.uniform(0.5, 1.3)),
+        ),
+        laser=LaserDesign(
+            origin, (0.0, 0.0, middle), roll=float(rng.uniform(-3, 3)), width=float(rng.uniform(0.2, 0.5)),
+            peak=float(rng.uniform(110.0, 200.0)),
+        ),
+        jig=JigDesign(
+            tuple(float(z) for z in np.round(np.linspace(near, near + depth, int(rng.integers(4, 6))), 1)), 13, 17, pitch, 0.42 * pitch,
+            fiducials=((6, 8), (6, 10), (3, 8)), fiducial_diameter=0.63 * pitch,
+        ),
+        window=WindowDesign(10.0, 1.52, (float(rng.uniform(-15, 15)), float(rng.uniform(-15, 15))), 60.0) if window else None,
+    )  # fmt: skip
+
+
+def judge(design: RigDesign, rng: np.random.Generator) -> Found:
+    """Predict a design, and render, calibrate and range it."""
+    predicted = design_rig(design)
+    rig = predicted.rig
+    rigs = [calibrate(session).rig for session in sessions(rig, rng)]
+    area = predicted.area.prediction
+    points = area.points[area.inside]
+    errors = np.array([_errors(each, rig, points) for each in rigs])
+    known = np.isfinite(errors).all(axis=0)
+    both = (
+        float(np.sqrt(np.mean(area.sigma_cal[area.inside][known] ** 2))),
+        float(np.sqrt(np.mean(errors[:, known] ** 2))),
+    )
+    noise = np.concatenate([_noise(rigs[0], predicted, float(z), rng) for z in np.linspace(*_depths(design), 4)])
+    return Found(noise, both)
+
+
+def _depths(design: RigDesign) -> tuple[float, float]:
+    low, high = min(design.jig.stand_offs), max(design.jig.stand_offs)
+    return low + 0.05 * (high - low), high - 0.05 * (high - low)
+
+
+def sessions(rig: VirtualRig, rng: np.random.Generator) -> list[CalibrationSession]:
+    """Several sessions of one rig: the same light, other noise."""
+    jig = rig.design.jig
+    target = SpotGrid(jig.rows, jig.columns, jig.pitches, jig.diameter, "light", jig.fiducials, jig.fiducial_diameter)
+    lit = [rig.target_images(k, CALIBRATIONS * jig.images, rng) for k in range(len(jig.names))]
+    striped = [rig.stripe_images(rig.blank(k), CALIBRATIONS * jig.laser_images, rng) for k in range(len(jig.names))]
+    return [
+        CalibrationSession(target, [
+            PlaneView(lit[k][n :: CALIBRATIONS], pose.translation, jig.rotation, laser=striped[k][n :: CALIBRATIONS])
+            for k, pose in enumerate(rig.stated)
+        ])
+        for n in range(CALIBRATIONS)
+    ]  # fmt: skip
+
+
+def _errors(calibrated: object, rig: VirtualRig, points: Array) -> Array:
+    """Errors (N,) mm along the ray of points of the exact sheet, ranged by a calibrated rig from their exact pixels."""
+    from scope.simulation import exact_rays, project
+
+    pixels = project(rig.camera, points)
+    camera, lasers = calibrated.camera, list(calibrated.lasers.values())  # type: ignore[attr-defined]
+    found = triangulate(
+        camera, lasers[0], pixels, np.zeros(len(pixels)), 1 if rig.along == "rows" else 0, extrapolate=5.0
+    )
+    return np.asarray(np.einsum("ni,ni->n", found.points - points, exact_rays(rig.camera, pixels).direction))
+
+
+def _noise(calibrated: object, predicted: DesignResult, depth: float, rng: np.random.Generator) -> Array:
+    """Predicted over found noise (5,) at five places of a plate at one depth."""
+    rig = predicted.rig
+    scene = Scene((Part(Sheet(None), Pose(np.eye(3), np.array([0.0, 0.0, depth]))),))
+    scanner = Scanner(calibrated)  # type: ignore[arg-type]
+    profiles = [scanner.profile(image) for image in rig.stripe_images(scene, EXPOSURES, rng)]
+    ranged = np.array([p.points for p in profiles])  # (exposures, lines, 3)
+    truth = rig.truth_of(scene)
+    lines = np.flatnonzero(np.isfinite(ranged).all(axis=(0, 2)) & np.isfinite(truth.position))
+    if len(lines) < 5 * LINES:
+        return np.zeros(0)
+    view = truth.points / np.linalg.norm(truth.points, axis=1, keepdims=True)
+    along = np.einsum("eni,ni->en", ranged - truth.points, view)
+    from scope.design.prediction import predict
+
+    ratios = []
+    for start in np.linspace(LINES, len(lines) - 2 * LINES, 5).astype(int):
+        use = lines[start : start + LINES]
+        found = np.sqrt(np.mean(along[:, use].var(axis=0, ddof=1)))
+        expected = predict(rig, predicted.planned, truth.points[use], predicted.surface).look.sigma
+        ratios.append(float(np.sqrt(np.mean(expected**2)) / found))
+    return np.array(ratios)
+
+
+def times() -> tuple[float, float]:
+    """CPU seconds of predicting the demo's rig, and of rendering, calibrating and scanning it; both once before, to compile."""
+    design = Path(__file__).resolve().parents[1] / "scope" / "demo" / "rig-design.toml"
+    design_rig(design)
+    begin = time.process_time()
+    design_rig(design)
+    predicted = time.process_time() - begin
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "s"
+        begin = time.process_time()
+        simulate(design, out, 1)
+        calibrate(out / "calibration.toml").rig.save(out / "rig.json")
+        scan(out / "capture.toml", out / "rig.json")
+    return predicted, time.process_time() - begin
+
+
+def main() -> None:
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 30
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 14
+    rng = np.random.default_rng(seed)
+    noise, ratios = [], []
+    for k in range(count):
+        design = random_design(rng, window=k % 2 == 1)
+        found = judge(design, rng)
+        noise.append(found.noise)
+        ratios.append(found.calibration[0] / found.calibration[1])
+        print(
+            f"# {k} {'window' if design.window else 'air'}: noise {np.round(np.percentile(found.noise, [0, 50, 100]), 3)}, "
+            f"calibration {1e3 * found.calibration[0]:.2f} / {1e3 * found.calibration[1]:.2f} um",
+            file=sys.stderr, flush=True,
+        )  # fmt: skip
+    everything = np.concatenate(noise)
+    ratio = np.array(ratios)
+    head("figure", "reach", "found", "")
+    share = float(np.mean((everything > 0.9) & (everything < 1.1)))
+    row("predicted sigma over scatter: median; 2.5 and 97.5 %", "0.9 to 1.1 in 95 %",
+        f"{np.median(everything):.3f}; {np.percentile(everything, 2.5):.3f}, {np.percentile(everything, 97.5):.3f}: {share:.0%} "
+        f"of {len(everything)} places", "met" if share >= 0.95 else "**missed**")  # fmt: skip
+    inside = float(np.mean((ratio > 0.8) & (ratio < 1.25)))
+    pooled = float(np.exp(np.mean(np.log(ratio))))
+    row("predicted sigma_cal over rms error: geometric mean; range", "0.8 to 1.25",
+        f"{pooled:.2f}; {ratio.min():.2f} to {ratio.max():.2f}: {inside:.0%} of {count} designs",
+        "met" if inside == 1.0 else "**missed**")  # fmt: skip
+    predicted, session = times()
+    share = predicted / session
+    row(f"time of a prediction ({predicted:.2f} s CPU) over simulating, calibrating and scanning it ({session:.0f} s)", "<= 0.02",
+        share, "met" if share <= 0.02 else "**missed**")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
