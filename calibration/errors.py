@@ -4,6 +4,7 @@ ScopeError                  anything a user can put right; the command line prin
 |-- FileError               a file that is missing, unreadable or not what it should be
 |-- CalibrationError        images or numbers from which no trustworthy calibration follows
 |-- RangingError            (ranging.errors) stripes, motion or captures that cannot be ranged
+|-- CameraError             (scope.errors) a camera that does not answer, breaks off or gives other images than it should
 |-- MeasurementError        (scope.errors) a cloud from which the wanted result does not follow
 `-- MissingLibraryError     (scope.errors) an optional or system library that is not installed
 

@@ -11,3 +11,7 @@ class MeasurementError(ScopeError):
 
 class MissingLibraryError(ScopeError):
     """An optional Python package or a system library that this work needs and that is not installed."""
+
+
+class CameraError(ScopeError):
+    """A camera that does not answer, breaks off, refuses a setting or gives other images than it should."""

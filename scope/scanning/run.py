@@ -11,6 +11,7 @@ from typing import TypeVar
 from calibration.rig import Rig
 from ranging.errors import RangingError
 from ranging.surface import CONTEXT
+from scope.cameras import open_source
 from scope.cloud import ScanCloud
 from scope.scanning.assembly import assembled, joined
 from scope.scanning.options import ScanOptions
@@ -21,7 +22,7 @@ from scope.scanning.refinement import batches, refine_window, windows
 from scope.scanning.setup import ScanSetup
 from scope.scanning.statistics import Chunk, Scan, ScanStatistics
 from scope.scanning.stripes import find_stripes
-from scope.session import AHEAD, Source, frames_in_memory, in_order, open_source, read_capture
+from scope.session import AHEAD, Source, frames_in_memory, in_order, read_capture
 
 CHUNK = 24  # frames ranged at once; fewer where they are large
 Tick = Callable[[int, int], None]

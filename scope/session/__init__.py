@@ -2,7 +2,7 @@
 
 In: calibration.toml, capture.toml, folders of images, videos; or the same from memory.
 Out: frozen descriptions of a calibration or a capture, and a source that decodes its frames ahead.
-Read: toml_file, target_section, calibration_file, in_memory, robot_section, hand_eye_file,
+Read: toml_file, camera_section, target_section, calibration_file, in_memory, robot_section, hand_eye_file,
     hand_eye, capture, images, frames, templates.
 """
 
@@ -14,11 +14,32 @@ from scope.session.calibration_file import (
     StagePlan,
     read_calibration,
 )
+from scope.session.camera_section import DRIVERS, ON_FILES, CameraSection, CameraSettings, camera_settings
 from scope.session.capture import Capture, StageUse, read_capture
-from scope.session.frames import AHEAD, Frame, Iterated, Source, frames_in_memory, in_order, open_source
+from scope.session.frames import (
+    AHEAD,
+    HELD,
+    Frame,
+    Iterated,
+    Source,
+    frames_in_memory,
+    in_order,
+    open_source,
+    open_video,
+)
 from scope.session.hand_eye import SENSOR, TARGET, HandEye
 from scope.session.hand_eye_file import HandEyePlan, read_hand_eye_plan
-from scope.session.images import ImageInMemory, gray, mean_gray, mean_image, read_alike, read_image, shape_text
+from scope.session.images import (
+    ENDINGS,
+    ImageInMemory,
+    gray,
+    image_files,
+    mean_gray,
+    mean_image,
+    read_alike,
+    read_image,
+    shape_text,
+)
 from scope.session.in_memory import CalibrationSession, PlaneView, plan_of
 from scope.session.robot_section import PoseLog, read_pose_log
 from scope.session.target_section import Plate, read_target, target_in
@@ -29,8 +50,13 @@ __all__ = [
     "AHEAD",
     "CalibrationPlan",
     "CalibrationSession",
+    "CameraSection",
+    "CameraSettings",
     "Capture",
+    "DRIVERS",
+    "ENDINGS",
     "Frame",
+    "HELD",
     "HandEye",
     "HandEyePlan",
     "ImageInMemory",
@@ -38,6 +64,7 @@ __all__ = [
     "LaserPlan",
     "ListedMarks",
     "MM",
+    "ON_FILES",
     "PlanePlan",
     "PlaneView",
     "Plate",
@@ -48,12 +75,15 @@ __all__ = [
     "StageUse",
     "TARGET",
     "TEMPLATES",
+    "camera_settings",
     "frames_in_memory",
     "gray",
+    "image_files",
     "in_order",
     "mean_gray",
     "mean_image",
     "open_source",
+    "open_video",
     "plan_of",
     "read_alike",
     "read_calibration",

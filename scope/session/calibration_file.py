@@ -15,6 +15,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array, Pose
 from calibration.targets import Polarity, Target
+from scope.session.camera_section import CameraSection, CameraSettings, camera_settings
 from scope.session.images import Stored
 from scope.session.target_section import PlaceSection, Plate, TargetSection, plate_of, polarity_of, target_of
 from scope.session.toml_file import (
@@ -112,6 +113,7 @@ class CalibrationSection(Section):
     format: Literal[1]
     units: Units = "mm"
     camera_id: str = ""
+    camera: CameraSection | None = None
     target: TargetSection
     accept: AcceptSection = AcceptSection()
     laser: dict[str, Any] = {}
@@ -189,6 +191,7 @@ class CalibrationPlan:
     stages: tuple[StagePlan, ...]
     plate: Plate = "auto"  # where the target's plane reaches beyond its marks
     globbed: frozenset[str] = frozenset()  # names of the planes that a glob of [[views]] brought
+    camera: CameraSettings | None = None  # that takes the images
 
     @property
     def files(self) -> list[Path]:
@@ -231,7 +234,8 @@ def read_calibration(path: Path, *, only: str | None = None) -> CalibrationPlan:
                     f"{path}: plane {plane.name}: target.kind is 'listed' and `points` is missing; name its CSV"
                 )
     return CalibrationPlan(path, raw.camera_id, target, polarity_of(raw.target), limits, lasers, planes, stages,
-                           plate_of(raw.target, mm), frozenset(p.name for p in planes[tables:]))  # fmt: skip
+                           plate_of(raw.target, mm), frozenset(p.name for p in planes[tables:]),
+                           None if raw.camera is None else camera_settings(raw.camera, path.parent))  # fmt: skip
 
 
 def with_views(path: Path, raw: CalibrationSection, *, lasers: bool) -> CalibrationSection:

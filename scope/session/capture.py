@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, Strict, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Strict, Tag, model_validator
 
 from calibration.errors import FileError
 from calibration.geometry import Array, Pose
 from calibration.notation import Notation
 from ranging.motion import Fixed, Linear, Motion, Poses, Positions, Turntable
 from ranging.robot import Robot
+from scope.session.camera_section import CameraSection, CameraSettings, camera_settings
 from scope.session.hand_eye import HandEye
 from scope.session.robot_section import Gives, read_pose_log
 from scope.session.toml_file import MM, Number, Section, Units, Vector, matching, numbers, read_csv, read_toml
@@ -23,6 +24,13 @@ Channel = Literal["auto", "red", "green", "blue", "gray"]
 _MOST_NUMBERS = 1_000_000  # between the first and the last frame
 _ROBOT = ("hand_eye", "poses", "units", "notation", "gives")
 _MATRIX = tuple(f"m{i}{j}" for i in range(4) for j in range(4))
+
+
+# tags hold a dash, so that messages leave them out of the key
+Camera = Annotated[
+    Annotated[int, Strict(), Field(ge=0, le=63), Tag("by-number")] | Annotated[CameraSection, Tag("by-table")],
+    Discriminator(lambda value: "by-table" if isinstance(value, dict | CameraSection) else "by-number"),
+]
 
 
 class MotionSection(Section):
@@ -98,7 +106,7 @@ class CaptureSection(Section):
     camera_id: str = ""
     images: str | None = None
     video: str | None = None
-    camera: Annotated[int, Strict(), Field(ge=0, le=63)] | None = None
+    camera: Camera | None = None
     frames: Annotated[int, Strict(), Field(ge=1)] | None = None
     background: str | None = None
     background_mode: Literal["mean", "paired", "alternate"] | None = None
@@ -152,6 +160,7 @@ class Capture:
     motion: Motion | StageUse
     numbers: tuple[int, ...] | None  # frame number of each image where they come from the file names
     by_step: bool = False  # only the count of frames says how far the object has moved
+    driven: CameraSettings | None = None  # the camera of [camera]
 
 
 def read_capture(path: Path) -> Capture:
@@ -181,9 +190,11 @@ def read_capture(path: Path) -> Capture:
     section = raw.motion or MotionSection()
     motion = _motion(path, section, shown, mm)
     lasers = None if raw.lasers is None else tuple(raw.lasers)
+    index = raw.camera if isinstance(raw.camera, int) else None
+    driven = camera_settings(raw.camera, folder) if isinstance(raw.camera, CameraSection) else None
     return Capture(
-        path, raw.camera_id, images, video, raw.camera, raw.frames, background, mode, raw.channel, lasers, raw.sequence,
-        motion, frame_numbers, section.step is not None,
+        path, raw.camera_id, images, video, index, raw.frames, background, mode, raw.channel, lasers, raw.sequence,
+        motion, frame_numbers, section.step is not None, driven,
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from calibration.errors import FileError
@@ -131,9 +132,7 @@ class Stream:
         import cv2
 
         if capture.video is not None:
-            opened = cv2.VideoCapture(str(capture.video), _decoder())
-            if not opened.isOpened():
-                raise FileError(f"{capture.video}: is no video that can be decoded; record it again or give images")
+            opened = open_video(capture.video)
             announced = int(opened.get(cv2.CAP_PROP_FRAME_COUNT))
             pair = 2 if capture.background_mode == "alternate" else 1
             return cls(capture, opened, capture.video.name, announced // pair if announced > 0 else None)
@@ -248,6 +247,16 @@ def _fill(ahead: deque[Frame], read: Callable[[], Frame | None], count: int) -> 
         if frame is None:
             return
         ahead.append(frame)
+
+
+def open_video(path: Path) -> Any:
+    """Opened ``cv2.VideoCapture`` of a video file; ``FileError`` where it cannot be decoded."""
+    import cv2
+
+    opened = cv2.VideoCapture(str(path), _decoder())
+    if not opened.isOpened():
+        raise FileError(f"{path}: is no video that can be decoded; record it again or give images")
+    return opened
 
 
 def _decoder() -> int:

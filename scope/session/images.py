@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from calibration.errors import FileError
 from calibration.geometry import Array
 from ranging.background import Image
+from scope.session.toml_file import matching, natural_key
 
 _MOST_PIXELS = 200_000_000
 
@@ -84,6 +85,19 @@ def read_image(path: Stored) -> Image:
     if image.ndim == 3 and image.shape[2] not in (1, 3):
         raise FileError(f"{path}: has {image.shape[2]} channels; 1, 3 or 4 are needed: convert it")
     return np.ascontiguousarray(image[:, :, 0] if image.ndim == 3 and image.shape[2] == 1 else image)
+
+
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
+
+
+def image_files(place: Path) -> list[Path]:
+    """Images of a folder, or files of a glob, in natural order; ``FileError`` where there is none."""
+    if place.is_dir():
+        found = [path for path in place.iterdir() if path.is_file() and path.suffix.lower() in ENDINGS]
+        if not found:
+            raise FileError(f"{place}: holds no image; give the folder of the frames")
+        return sorted(found, key=lambda path: natural_key(path.name))
+    return matching(place.parent, place.name, owner=place, key="files")
 
 
 def _truncated(data: NDArray[np.uint8]) -> bool:

@@ -178,6 +178,19 @@ class VirtualRig:
         light = render_target(self.camera, self.actual[plane], self.look(plane, rng), blur_px=self.sensor.blur_px)
         return [self._expose(None, light, rng) for _ in range(count)]
 
+    def stripe_light(self, scene: Scene) -> Array:
+        """Light (rows, columns) of the laser on one scene in C, grey levels above black, without noise and speckle."""
+        return np.asarray(self.level * render_stripe(self.camera, self.laser, scene, blur_px=self.sensor.blur_px))
+
+    def target_light(self, plane: int) -> Array:
+        """Light (rows, columns) of a plane's target, grey levels above black, without noise."""
+        look = self.look(plane, np.random.default_rng(plane))
+        return render_target(self.camera, self.actual[plane], look, blur_px=self.sensor.blur_px)
+
+    def exposed(self, light: Array, rng: np.random.Generator, *, laser: bool) -> NDArray[Any]:
+        """One exposure of light that is the laser's, or a back-lit target's."""
+        return self._expose(light, self.design.camera.ambient, rng) if laser else self._expose(None, light, rng)
+
     def dark_images(self, count: int, rng: np.random.Generator) -> list[NDArray[Any]]:
         """Exposures without the laser."""
         return [self._expose(None, self.design.camera.ambient, rng) for _ in range(count)]

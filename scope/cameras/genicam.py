@@ -1,0 +1,189 @@
+"""Driver `genicam`: any camera with a GenTL producer (.cti), through harvesters (extra `genicam`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.errors import FileError
+from scope.cameras.camera import CameraInfo, Setting, Shot
+from scope.cameras.genicam_nodes import FrameIds, laser_nodes
+from scope.cameras.pixels import image_of
+from scope.errors import CameraError, MissingLibraryError
+from scope.session import CameraSettings
+
+_BUFFERS = 24
+_NODES = {"exposure_us": "ExposureTime", "gain": "Gain", "rate": "AcquisitionFrameRate", "pixel_format": "PixelFormat"}
+
+
+def _harvester(producer: str) -> Any:
+    try:
+        from harvesters.core import Harvester
+    except ImportError as error:
+        raise MissingLibraryError(
+            "the Python package harvesters is not installed, which GenTL cameras need; run: python -m pip install "
+            '"scope-scanner[genicam]"'
+        ) from error
+    if not Path(producer).is_file():
+        raise FileError(
+            f"{producer}: is not there; camera.producer names the .cti file that the camera's maker installs"
+        )
+    harvester = Harvester()
+    harvester.add_file(producer, check_existence=True, check_validity=True)
+    harvester.update()
+    return harvester
+
+
+def genicam_cameras(producer: str) -> list[CameraInfo]:
+    """Cameras that a GenTL producer finds."""
+    harvester = _harvester(producer)
+    try:
+        return [
+            CameraInfo("genicam", str(device.id_), f"{device.vendor} {device.model}".strip(), None)
+            for device in harvester.device_info_list
+        ]
+    finally:
+        harvester.reset()
+
+
+class GenicamCamera:
+    """One camera of a producer; ``CameraError`` where it does not answer or refuses a setting that was asked for."""
+
+    def __init__(self, settings: CameraSettings) -> None:
+        self._asked = settings
+        self._acquirer: Any = None
+        try:
+            self._harvester = _harvester(settings.producer or "")
+        except (OSError, RuntimeError, ValueError) as error:
+            raise self._failed(error) from error
+        try:
+            infos = self._harvester.device_info_list
+            wanted = [k for k, device in enumerate(infos) if settings.id in ("", str(device.id_))]
+            if not wanted:
+                raise CameraError(
+                    f"{settings.name}: none answers at {Path(settings.producer or '').name}; check cable and power"
+                )
+            self._acquirer = self._harvester.create(wanted[0])
+            self._acquirer.num_buffers = _BUFFERS
+            self._apply()
+            nodes, device = self._acquirer.remote_device.node_map, infos[wanted[0]]
+            size = (int(nodes.Width.value), int(nodes.Height.value))
+            self._info = CameraInfo("genicam", str(device.id_), f"{device.vendor} {device.model}".strip(), size)
+        except CameraError:
+            self.close()
+            raise
+        except Exception as error:  # harvesters hands on what producers throw, of any kind
+            self.close()
+            raise self._failed(error) from error
+        self._ids = FrameIds()
+
+    @property
+    def info(self) -> CameraInfo:
+        """Driver, id, model and size."""
+        return self._info
+
+    @property
+    def settings(self) -> Mapping[str, Setting]:
+        """As the camera tells them; what it does not tell is None."""
+        nodes = self._acquirer.remote_device.node_map
+        told: dict[str, Setting] = {}
+        for name, node in _NODES.items():
+            value = getattr(getattr(nodes, node, None), "value", None)
+            told[name] = value if value is None or isinstance(value, str) else float(value)
+        return {**told, "trigger": self._asked.trigger}
+
+    @property
+    def dropped(self) -> int:
+        """By the numbers of the frames."""
+        return self._ids.missing
+
+    @property
+    def waits(self) -> bool:
+        """A camera does not wait."""
+        return False
+
+    @property
+    def switches_laser(self) -> bool:
+        """Where a line was named."""
+        return self._asked.laser is not None
+
+    def start(self) -> None:
+        """Fill buffers from now on."""
+        try:
+            self._acquirer.stop()
+            self._ids = FrameIds()
+            self._acquirer.start()
+        except Exception as error:
+            raise self._failed(error) from error
+
+    def read(self) -> Shot | None:
+        """Next whole frame."""
+        try:
+            with self._acquirer.fetch(timeout=self._asked.timeout_s) as buffer:
+                part = buffer.payload.components[0]
+                number, at = self._ids.next(
+                    int(buffer.frame_id or self._ids.count + 1), float(buffer.timestamp_ns or 0) * 1e-9
+                )
+                data = np.ascontiguousarray(part.data).view(np.uint8).ravel()
+                return Shot(image_of(data, part.width, part.height, part.data_format, self._asked.name), number, at)
+        except CameraError:
+            raise
+        except Exception as error:
+            raise CameraError(
+                f"{self._asked.name}: gave no frame for {self._asked.timeout_s:g} s ({_told(error)}); check cable, power and trigger"
+            ) from error
+
+    def set(self, name: str, value: float) -> None:
+        """Set "exposure_us" or "gain"."""
+        self._write(_NODES[name], float(value))
+
+    def switch_laser(self, on: bool) -> None:
+        """By the output line of the settings."""
+        for name, value in laser_nodes(self._asked.laser, on=on):
+            self._write(name, value)
+
+    def close(self) -> None:
+        """Stop and let go."""
+        with suppress(Exception):
+            if self._acquirer is not None:
+                self._acquirer.stop()
+                self._acquirer.destroy()
+        with suppress(Exception):
+            self._harvester.reset()
+
+    def _apply(self) -> None:
+        asked = self._asked
+        for setting in ("pixel_format", "exposure_us", "gain"):
+            if (value := getattr(asked, setting)) is not None:
+                self._write(_NODES[setting], value)
+        if asked.trigger is not None:
+            for name, text in (
+                ("TriggerSelector", "FrameStart"),
+                ("TriggerSource", asked.trigger),
+                ("TriggerMode", "On"),
+            ):
+                self._write(name, text)
+        elif asked.rate is not None:
+            self._write("AcquisitionFrameRate", asked.rate)
+
+    def _write(self, name: str, value: float | str | bool) -> None:
+        node = getattr(self._acquirer.remote_device.node_map, name, None)
+        if node is None:
+            raise CameraError(f"{self._asked.name}: has no {name}; leave it out")
+        try:
+            node.value = value
+        except Exception as error:
+            raise CameraError(f"{self._asked.name}: refuses {name} = {value}: {_told(error)}") from error
+
+    def _failed(self, error: Exception) -> CameraError:
+        return CameraError(
+            f"{self._asked.name}: {_told(error)}; check cable and power, and that no other program uses it"
+        )
+
+
+def _told(error: Exception) -> str:
+    return " ".join(str(error).split())[:160] or type(error).__name__
