@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import scope
 from calibration.errors import FileError
-from scope.simulation import WildDesign, draw_wild, read_any_design, write_wild
+from cli.main import app
+from scope.simulation import draw_wild, read_any_design, write_wild
 
-WEBCAM = Path(__file__).parents[3] / "examples" / "webcam-design.toml"
+ROOT = Path(__file__).parents[3]
 
 
 def test_a_wild_session_has_its_camera_in_its_boards(tmp_path: Path) -> None:
@@ -63,27 +66,32 @@ def test_the_markers_of_a_wild_turntable_go_about_its_axis(tmp_path: Path) -> No
     assert np.median(off) < 0.35
 
 
-def test_a_desk_is_calibrated_and_scanned_without_editing_anything(tmp_path: Path) -> None:
-    design = read_any_design(WEBCAM)
-    assert isinstance(design, WildDesign)
-    made = scope.simulate(
-        replace(design, turntable=replace(design.turntable, frames=18), boards=7, lasers=10), tmp_path / "desk", 3
-    )
-    truth = json.loads((tmp_path / "desk" / "truth" / "truth.json").read_text())
-    assert (made.frames, made.images) == (18, 7 + 10 + 12 + 18)
-    found = scope.calibrate(tmp_path / "desk" / "calibration.toml")
-    assert found.passed
-    (stage,) = found.rig.stages
-    axis, point = np.array(truth["turntable"]["axis_direction"]), np.array(truth["turntable"]["axis_point"])
+def test_the_first_scan_goes_as_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every command of docs/first-scan.md, in its order, as a user would type it; the cloud is the truth's."""
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "first-scan.md").read_text(encoding="utf-8")
+    lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in block.splitlines()]
+    told = [*lines, "scope target webcam/calibration.toml --measured 199.4,99.7"]
+    assert "`scope target webcam/calibration.toml --measured 199.4,99.7`" in text
+    assert len(lines) == 6
+    for line in told:
+        words = line.replace("examples/", f"{ROOT}/examples/").split()[1:]
+        if words[0] == "view":
+            words += ["--no-show", "-o", "view.html"]
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 0, (line, done.output)
+    truth = json.loads(Path("webcam/truth/truth.json").read_text())["turntable"]
+    (stage,) = scope.Rig.load("rig.json").stages
+    axis, point = np.array(truth["axis_direction"]), np.array(truth["axis_point"])
     assert np.degrees(np.arccos(min(stage.direction @ axis, 1.0))) < 0.3
-    cloud = scope.scan(tmp_path / "desk" / "capture.toml", found.rig)
+    cloud = scope.ScanCloud.load("cloud.ply")
     x = np.cross(axis, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(axis, [0.0, 0.0, 1.0]))
     flat = (cloud.points - point) @ np.stack([x, np.cross(axis, x), axis]).T
-    (x0, y0, _), (x1, y1, height) = truth["turntable"]["block"]
+    (x0, y0, _), (x1, y1, height) = truth["block"]
     on = (flat[:, 0] > x0 + 4) & (flat[:, 0] < x1 - 4) & (flat[:, 1] > y0 + 4) & (flat[:, 1] < y1 - 4)
     top = flat[on & (flat[:, 2] > 0.7 * height), 2]
     table = flat[(np.hypot(flat[:, 0], flat[:, 1]) > 70) & (np.abs(flat[:, 2]) < 6), 2]
-    assert len(top) > 100
+    assert len(top) > 500
     assert np.median(top) - np.median(table) == pytest.approx(height, abs=0.5)
 
 
