@@ -154,7 +154,7 @@ def test_import_linter_agrees() -> None:
 def test_what_is_imported_is_declared() -> None:
     project = PROJECT["project"]
     declared = list(project["dependencies"])
-    for extra in ("heightmaps", "clouds", "basler", "genicam", "console"):
+    for extra in ("heightmaps", "clouds", "basler", "genicam", "console", "cluster"):
         declared += project["optional-dependencies"].get(extra, [])
     names = [re.split(r"[^A-Za-z0-9_.-]", line, maxsplit=1)[0] for line in declared]
     known = {IMPORTED_AS.get(name, name) for name in names} | set(LAYERS) | sys.stdlib_module_names

@@ -1,0 +1,193 @@
+"""A day on workers: the same table whatever their number, nothing lost when they die, and what the engine costs.
+
+    python -m benchmarks.batch [--sessions 64] [--jobs 1 2 4] [--kill 10]
+    python -m benchmarks.batch memory [--sessions 2000]
+
+Sessions are simulated scans of a sphere and a plate, each with its own noise; the peer is their own time, as each session measures it in
+its worker. ``--kill`` ends one worker every so many seconds. ``memory`` runs a day of stand-ins for scans and prints the client's memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import resource
+import shutil
+import signal
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+from cli.batch import run_words
+from scope.batch import Answer, Day, DayOptions, parse_steps, run_day
+
+DESIGN = """
+format = 1
+[camera]
+size = [640, 480]
+focal_px = 700.0
+centre_px = [322.0, 236.0]
+[laser]
+origin = [0.0, -150.0, 8.0]
+through = [0.0, 0.0, 340.0]
+width = 0.5
+roll = 3.0
+[jig]
+stand_offs = [300.0, 330.0, 360.0, 390.0]
+rows = 11
+columns = 15
+pitch = 16.0
+diameter = 6.0
+fiducials = [[5, 7], [5, 9], [2, 7]]
+fiducial_diameter = 9.0
+images = 2
+laser_images = 1
+[[object]]
+solid = "sphere"
+radius = 20.0
+origin = [-35.0, 0.0, 352.0]
+[[object]]
+solid = "plane"
+origin = [0.0, 0.0, 372.0]
+[motion]
+kind = "linear"
+direction = [0.0, 1.0, 0.0]
+start = -11.0
+step = 2.0
+frames = 12
+off_images = 2
+"""
+DO = "scan; check -a sphere:d=40 --region box:-60,-10,-30,30"
+
+
+def pretend(words: list[str]) -> Answer:
+    """Stand in for a command: figures from the name of the session, counted in a file beside it, obeying words in it.
+
+    ``die``: the worker ends at the first attempt. ``fail``: bad data. ``doubt``: exit 3.
+    """
+    source = Path(words[1])
+    order = source.read_text(encoding="utf-8").split()
+    with source.with_suffix(".count").open("a", encoding="utf-8") as stream:
+        stream.write("x")
+    if "die" in order and source.with_suffix(".count").stat().st_size == 1:
+        os._exit(1)
+    if "fail" in order:
+        return Answer(1, None, f"{source}: is bad")
+    number = int(hashlib.sha256(source.name.encode()).hexdigest()[:6], 16)
+    result = {"value_mm": {"value": number * 1e-3, "uncertainty": 0.1}, "seconds": time.time(), "big": [0.0] * 5000}
+    return Answer(3 if "doubt" in order else 0, result, "is doubtful" if "doubt" in order else "")
+
+
+def sessions(folder: Path, count: int) -> tuple[list[Path], Path]:
+    """Captures with noise of their own, and the rig that is calibrated for them."""
+    import cv2
+
+    from scope import simulation
+    from scope.calibrating import calibrate
+
+    (folder / "design.toml").write_text(DESIGN, encoding="utf-8")
+    simulation.simulate(simulation.read_design(folder / "design.toml"), folder / "first", np.random.default_rng(7))
+    calibrate(folder / "first" / "calibration.toml").rig.save(folder / "rig.json")
+    captures = []
+    for k in range(count):
+        rng, home = np.random.default_rng(k), folder / f"s{k:03d}"
+        for part in ("frames", "off"):
+            shutil.copytree(folder / "first" / part, home / part)
+        for path in (home / "frames").glob("*.png"):
+            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            noisy = np.rint(image + rng.normal(0, 1.0, image.shape)).clip(0, 255).astype(np.uint8)
+            cv2.imwrite(str(path), noisy)
+        captures.append(Path(shutil.copy(folder / "first" / "capture.toml", home)))
+    return captures, folder / "rig.json"
+
+
+def without_times(table: Path) -> str:
+    """A table but for its times."""
+    lines = [line.split(",") for line in table.read_text(encoding="utf-8").splitlines()]
+    at = lines[0].index("seconds")
+    return "\n".join(",".join(line[:at] + line[at + 1 :]) for line in lines)
+
+
+def killing(every: float, stop: threading.Event) -> None:
+    """End one of this process's workers every so many seconds."""
+    from distributed.nanny import Nanny
+
+    rng = np.random.default_rng(0)
+    while not stop.wait(every):
+        alive = [nanny.pid for nanny in list(Nanny._instances) if nanny.pid]
+        if alive:
+            os.kill(int(rng.choice(alive)), signal.SIGKILL)
+
+
+def run(captures: list[Path], rig: Path, table: Path, jobs: int, *, kill: float = 0.0) -> Day:
+    stop = threading.Event()
+    killer = threading.Thread(target=killing, args=(kill, stop), daemon=True)
+    if kill:
+        killer.start()
+    try:
+        return run_day(captures, rig, parse_steps(DO), table, run_words, options=DayOptions(jobs=jobs))
+    finally:
+        stop.set()
+
+
+def day(count: int, jobs: list[int], kill: float) -> None:
+    print("| workers | killed every | sessions | failed | begun again | overhead over own times | table |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    with tempfile.TemporaryDirectory() as name:
+        captures, rig = sessions(Path(name), count)
+        first = ""
+        for workers, every in [*((j, 0.0) for j in jobs), *([(jobs[-1], kill)] if kill else [])]:
+            table = Path(name) / "day.csv"
+            done = run(captures, rig, table, workers, kill=every)
+            text = without_times(table)
+            first = first or text
+            overhead = 100.0 * (done.seconds * done.workers / done.own_seconds - 1.0)
+            same = "the same" if text == first else "ANOTHER"
+            print(
+                f"| {workers} | {every:g} s | {len(done.rows)} | {done.failed} | {done.retried} | {overhead:.1f} % | {same} |",
+                flush=True,
+            )
+
+
+def memory(count: int) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        sources = [Path(name) / f"c{k}.ply" for k in range(count)]
+        for path in sources:
+            path.write_text("", encoding="utf-8")
+        seen: list[tuple[int, float]] = []
+
+        def tick(done: int, total: int) -> None:
+            if done in {total // 10, total // 2, total}:
+                seen.append((done, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
+
+        run_day(
+            sources,
+            None,
+            parse_steps("check -a plane"),
+            Path(name) / "day.csv",
+            pretend,
+            options=DayOptions(jobs=2),
+            on_session=tick,
+        )
+    print("; ".join(f"after {done}: {megabytes:.0f} MB" for done, megabytes in seen))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("work", nargs="?", default="day", choices=["day", "memory"])
+    parser.add_argument("--sessions", type=int)
+    parser.add_argument("--jobs", type=int, nargs="+", default=[1, 2, 4])
+    parser.add_argument("--kill", type=float, default=10.0)
+    told = parser.parse_args()
+    if told.work == "memory":
+        memory(told.sessions or 2000)
+    else:
+        day(told.sessions or 64, told.jobs, told.kill)
+
+
+if __name__ == "__main__":
+    main()
