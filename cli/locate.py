@@ -145,10 +145,12 @@ def check(
     ],
     tolerance: Annotated[float | None, typer.Option("--tolerance", help="Largest error allowed, mm.")] = None,
     region: Where = None,
+    report: Report = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Compare scans of something known with what is known of it; exit 3 where it is out of tolerance."""
+    from calibration.atomic import require_folder, write_text
     from scope.check import (
         Artefact,
         ArtefactCheck,
@@ -160,6 +162,7 @@ def check(
         repeat_result,
     )
     from scope.cloud import ScanCloud, unknown
+    from scope.report import check_page
 
     with user_errors():
         with _usage():
@@ -167,6 +170,8 @@ def check(
             within = _region(region)
             if tolerance is not None and not tolerance > 0:
                 raise ValueError(f"--tolerance {tolerance:g} must be positive, mm")
+        require_folder(report)
+        repeatability = None
         scans = [ScanCloud.load(path) for path in clouds]
         if len(scans) == 1:
             checks: tuple[ArtefactCheck, ...] = (check_artefact(scans[0], known, tolerance=tolerance, region=within),)
@@ -174,8 +179,12 @@ def check(
         else:
             repeat = check_repeats(scans, known, tolerance=tolerance, region=within)
             checks = repeat.checks
-            told = repeat_result(repeat)
+            told, repeatability = repeat_result(repeat), repeat.worst_mm
             text = "\n".join([*(check_text(c) for c in checks), f"repeatability {repeat.worst_mm:.4f} mm (one sigma)"])
+        if report is not None:
+            named = [(path.name, scan) for path, scan in zip(clouds, scans, strict=True)]
+            write_text(report, check_page(checks, named, tolerance=tolerance, repeatability=repeatability))
+            say(f"wrote {report}", quiet=quiet)
     for path, scan in zip(clouds, scans, strict=True):
         if unread := unknown(scan, path.name):
             say(unread, quiet=quiet)

@@ -91,6 +91,8 @@ class ArtefactCheck(Shown):
     span_mm: float  # z span of the cloud, to which linearity refers
     within: bool | None  # |error_mm| <= tolerance; None without a tolerance
     claimed: bool | None  # every error of size lies within its claimed uncertainty; None where there is no size
+    where: Array  # (points, 3) mm, those that took part
+    deviation: Array  # (points,) mm, of each from the fitted artefact, signed
 
     def summary(self) -> Summary:
         """Errors of size and form, and whether they are within tolerance."""
@@ -266,6 +268,8 @@ def _judged(
         span_mm=span,
         within=None if tolerance is None else bool(abs(error) <= tolerance),
         claimed=all(abs(s.error) <= s.uncertainty for s in sizes) if sizes else None,
+        where=points,
+        deviation=kept,
     )
 
 

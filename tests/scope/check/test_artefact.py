@@ -225,6 +225,25 @@ class TestCommands:
         several = CliRunner().invoke(app, ["check", *[str(tmp_path / "c.ply")] * 2, "--json", "-a", "sphere:d=40"])
         assert json.loads(several.stdout)["repeatability_mm"] == 0.0
 
+    def test_check_has_a_page_that_says_what_it_says(self, app, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+        rng = np.random.default_rng(7)
+        seen(cap(20.0, np.array([0.0, 0, 400]), 3000, rng), rng).save(tmp_path / "c.ply")
+        page = tmp_path / "check.html"
+        words = ["check", str(tmp_path / "c.ply"), "--report", str(page), "--tolerance", "0.05", "-a"]
+        good = CliRunner().invoke(app, [*words, "sphere:d=40"])
+        assert good.exit_code == 0
+        html = page.read_text(encoding="utf-8")
+        assert 'class="verdict good"' in html
+        assert '<td class="text">diameter</td><td>40</td>' in html
+        bad = CliRunner().invoke(app, [*words, "sphere:d=40.5"])
+        assert bad.exit_code == 3
+        assert 'class="verdict bad"' in page.read_text(encoding="utf-8")
+        two = CliRunner().invoke(app, ["check", str(tmp_path / "c.ply"), *words[1:], "sphere:d=40"])
+        assert two.exit_code == 0
+        assert "Repeatability over 2 scans" in page.read_text(encoding="utf-8")
+        nowhere = CliRunner().invoke(app, [*words[:3], str(tmp_path / "no" / "p.html"), "-a", "sphere:d=40"])
+        assert nowhere.exit_code == 1
+
     def test_pose_writes_what_it_is_asked_for(self, app, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
         import json
 

@@ -1,0 +1,121 @@
+"""Checks against an artefact as a page: sizes beside what was known, deviations point by point, repeatability."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration.geometry import Array
+from scope.check import ArtefactCheck, out_of_tolerance
+from scope.cloud import ScanCloud
+from scope.report import pictures
+from scope.report.page import Level, Page
+from scope.report.scan import about_cloud
+
+_BINS = 60
+
+
+def check_page(
+    checks: Sequence[ArtefactCheck],
+    scans: Sequence[tuple[str, ScanCloud]],
+    *,
+    tolerance: float | None = None,
+    repeatability: float | None = None,
+) -> str:
+    """One self-contained HTML page of one check or several of the same artefact.
+
+    Parameters
+    ----------
+    checks : sequence of ArtefactCheck
+    scans : sequence of (name, ScanCloud)
+        What each was made of, in the same order.
+    tolerance : float, optional
+        Largest error that was allowed, mm.
+    repeatability : float, optional
+        Standard deviation of the worst size over the scans, mm.
+    """
+    page = Page(f"SCOPE check of a {checks[0].artefact.kind}")
+    page.verdict(*_verdict(checks, tolerance))
+    if repeatability is not None:
+        page.text(f"Repeatability over {len(checks)} scans: {repeatability:.4f} mm (one sigma of the worst size).")
+    for check, (name, cloud) in zip(checks, scans, strict=True):
+        page.heading(name)
+        _add_sizes(page, check)
+        page.table(
+            ("error, mm", "form (95 %), mm", "rms, mm", "linearity, %", "points"),
+            [[
+                f"{check.error_mm:+.4f}",
+                f"{check.form_mm:.4f}",
+                f"{check.rms_mm:.4f}",
+                f"{check.linearity_percent:.4f}" if np.isfinite(check.linearity_percent) else "-",
+                str(check.points),
+            ]],
+        )  # fmt: skip
+        _add_deviations(page, check)
+        page.about("scan", name)
+        about_cloud(page, cloud)
+    page.text(
+        "The uncertainty (k = 2) is the scanner's: noise of the points, calibration, and what slopes do to a stripe. That of the "
+        "artefact's own size is not in it. Form is the width that holds 95 % of the deviations (ISO 10360-8)."
+    )
+    return page.html()
+
+
+def _verdict(checks: Sequence[ArtefactCheck], tolerance: float | None) -> tuple[Level, str]:
+    worst = max((check.error_mm for check in checks), key=abs)
+    if out_of_tolerance(checks):
+        return "bad", (
+            f"Out of tolerance: error {worst:+.4f} mm, {tolerance:g} mm allowed. Do not rely on this scanner before it is "
+            "calibrated again."
+        )
+    if any(check.claimed is False for check in checks):
+        return "warn", (
+            f"Error {worst:+.4f} mm: larger than the claimed uncertainty; look for what neither noise nor calibration explains."
+        )
+    told = "no tolerance was given" if tolerance is None else f"within the tolerance of {tolerance:g} mm"
+    return ("plain" if tolerance is None else "good"), f"Error {worst:+.4f} mm: {told}."
+
+
+def _add_sizes(page: Page, check: ArtefactCheck) -> None:
+    if check.sizes:
+        page.table(
+            ("size", "nominal, mm", "measured, mm", "error, mm", "k = 2, mm", "noise", "calibration", "slopes"),
+            [
+                [
+                    size.name,
+                    f"{size.nominal:g}",
+                    f"{size.measured:.4f}",
+                    f"{size.error:+.4f}",
+                    f"{size.uncertainty:.4f}",
+                    f"{size.scatter:.4f}",
+                    f"{size.calibration:.4f}",
+                    f"{size.slope:.4f}",
+                ]
+                for size in check.sizes
+            ],
+        )
+
+
+def _add_deviations(page: Page, check: ArtefactCheck) -> None:
+    reach = float(np.percentile(np.abs(check.deviation), 99)) or 1e-6
+    count, edges = np.histogram(check.deviation, bins=_BINS, range=(-1.2 * reach, 1.2 * reach))
+    page.plot(
+        [("", np.repeat(edges, 2)[1:-1], np.repeat(count, 2))],
+        "Deviations of the points from the fitted artefact",
+        x_label="deviation, mm",
+        y_label="points",
+    )
+    right, down = _sides(check.where)
+    scaled = np.clip(check.deviation, -reach, reach)
+    page.image(
+        pictures.cloud_from(check.where, scaled, right, down),
+        f"the points, coloured by their deviation from {-reach:.4f} (dark) to {reach:.4f} mm (light), seen along the line of least extent",
+        width=430,
+    )
+
+
+def _sides(points: Array) -> tuple[Array, Array]:
+    """Two unit vectors (3,) along the greater extents of points (N, 3)."""
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    return axes[0], axes[1]
