@@ -1,20 +1,27 @@
 """How accurate is it? A scan of something known against what is known of it.
 
 In: a cloud and an artefact: a sphere, a cylinder, a plane, a step, a mesh.
-Out: errors of size and form with their uncertainty, within tolerance or not.
-Read: artefact, shapes, wording.
+Out: errors of size and form with their uncertainty, within tolerance or not; of a rig, its uncertainty budget and its
+    certificate.
+Read: artefact, shapes, wording, budget, certificate.
 """
 
 from scope.check.artefact import Artefact, ArtefactCheck, check_artefact, check_repeats
+from scope.check.budget import Budget, uncertainty_budget
+from scope.check.certificate import Certificate, certify
 from scope.check.wording import check_result, check_text, out_of_tolerance, repeat_result
 
 __all__ = [
     "Artefact",
     "ArtefactCheck",
+    "Budget",
+    "Certificate",
+    "certify",
     "check_artefact",
     "check_repeats",
     "check_result",
     "check_text",
     "out_of_tolerance",
     "repeat_result",
+    "uncertainty_budget",
 ]

@@ -2,7 +2,7 @@
 
 In: a calibration, a scan, roughness, a pose, a check, a cloud.
 Out: one HTML file each, and the tables that the terminal prints.
-Read: page, pictures, freehand, calibration, scan, roughness, pose, check, hand_eye, view.
+Read: page, pictures, freehand, calibration, scan, roughness, pose, check, certificate, hand_eye, view.
 """
 
 from scope.report.calibration import (
@@ -12,6 +12,7 @@ from scope.report.calibration import (
     verification_page,
     verification_text,
 )
+from scope.report.certificate import certificate_page
 from scope.report.check import check_page
 from scope.report.hand_eye import hand_eye_page
 from scope.report.page import Page
@@ -26,6 +27,7 @@ __all__ = [
     "add_views",
     "calibration_page",
     "calibration_text",
+    "certificate_page",
     "check_page",
     "check_text",
     "grey_blocks",

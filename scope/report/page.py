@@ -59,14 +59,17 @@ class Page:
         self._add(f"<p>{html.escape(text)}</p>")
 
     def table(self, headers: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-        """Add a table; cells that are no numbers are set to the left, and the heading above them."""
+        """Add a table; a column that holds words is set to the left, one of numbers to the right."""
         rows = [list(row) for row in rows]
         worded = [any(len(row) > k and not _is_number(row[k]) for row in rows) for k in range(len(headers))]
         head = "".join(
             f"<th{' class=text' if text else ''}>{html.escape(cell)}</th>"
             for cell, text in zip(headers, worded, strict=True)
         )
-        body = "".join("<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in rows)
+        body = "".join(
+            "<tr>" + "".join(_cell(cell, words=text) for cell, text in zip(row, worded, strict=True)) + "</tr>"
+            for row in rows
+        )
         self._add(f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>')
 
     def image(self, picture: Picture, caption: str, *, width: int | None = None) -> None:
@@ -179,8 +182,8 @@ def _is_number(text: str) -> bool:
     return text.strip().lstrip("+-−±<>≤≥ ")[:1].isdigit() or text.strip() in {"", "-"}
 
 
-def _cell(text: str) -> str:
-    return f"<td>{html.escape(text)}</td>" if _is_number(text) else f'<td class="text">{html.escape(text)}</td>'
+def _cell(text: str, *, words: bool) -> str:
+    return f'<td class="text">{html.escape(text)}</td>' if words else f"<td>{html.escape(text)}</td>"
 
 
 def _plot_svg(
