@@ -3,10 +3,11 @@
 In: pixels (N, 2) of marks, their covariance, and where the marks stand (N, 3) on each plane or view.
 Out: a camera: maps of two planes and more, one smooth field of rays, or a pinhole; with the covariance of its
     fit.
-Read: polynomial, chebyshev, plane_map, two_plane, ray_field, bundle, lens_terms, pinhole, coverage, target_pose,
-    uncertainty.
+Read: polynomial, chebyshev, plane_map, bad_marks, two_plane, ray_field, bundle, lens_terms, pinhole, coverage,
+    target_pose, uncertainty.
 """
 
+from calibration.rays.bad_marks import MOST_BAD, BadMarks, find_bad_marks
 from calibration.rays.bundle import Term
 from calibration.rays.coverage import Coverage, NextView, coverage_of, folds, next_view, undetermined
 from calibration.rays.lens_terms import TERMS
@@ -19,6 +20,9 @@ from calibration.rays.two_plane import TwoPlaneCamera, TwoPlaneFit, fit_two_plan
 from calibration.rays.uncertainty import ray_uncertainty
 
 __all__ = [
+    "MOST_BAD",
+    "BadMarks",
+    "find_bad_marks",
     "centre_covariance",
     "Coverage",
     "coverage_of",

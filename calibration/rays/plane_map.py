@@ -14,6 +14,7 @@ from calibration.rays.polynomial import Domain, Terms
 
 Order: TypeAlias = Literal["auto", "linear", "paper"] | int
 MAX_ORDER = 9
+WIDEST_ORDER = 13  # tried where `MAX_ORDER` is the best so far: a very wide lens
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +143,9 @@ def fit_plane_map(marks: PlaneMarks, *, order: Order = "auto", tilted: bool = Fa
     if order != "auto":
         return _fit(marks, domain, order)
     best: PlaneFit | None = None
-    for degree in range(1, MAX_ORDER + 1):
+    for degree in range(1, WIDEST_ORDER + 1):
+        if degree > MAX_ORDER and best is not None and best.map.terms != degree - 1:
+            break  # settled
         if len(marks) < 1.5 * len(polynomial.exponents(degree)) and best is not None:
             break
         try:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from calibration.rays.chebyshev import Series
 
 MAX_ORDER = 9
+WIDEST_ORDER = 13  # of B, where that of a very wide lens is not settled at `MAX_ORDER`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,15 +177,14 @@ class _Problem:
         order = max(1, min(order, 3))
         return self._solve(domain, order, order, float(self.depths.mean()), span, np.ones(len(self.depth))).field
 
-    def search(self, domain: Domain) -> RayFieldFit:
+    def search(self, domain: Domain, most: int = MAX_ORDER) -> RayFieldFit:
         """Orders with the least leave-one-out error: B upwards with A of order 3 at most, then A both ways.
 
-        Candidates are compared on one Gram matrix; the winner is solved by QR.
+        Candidates are compared on one Gram matrix; the winner is solved by QR. Where the highest is the best, higher ones
+        up to `WIDEST_ORDER` are tried, too.
         """
-        highest = max(
-            n for n in range(1, MAX_ORDER + 1) if n == 1 or len(self.depth) >= 3 * len(polynomial.exponents(n))
-        )
-        lens = _Lens.of(self, domain, self.start(domain, highest), min(5, highest))
+        highest = max(n for n in range(1, most + 1) if n == 1 or len(self.depth) >= 3 * len(polynomial.exponents(n)))
+        lens = _Lens.of(self, domain, self.start(domain, highest), min(5, highest), most)
         scores: dict[tuple[int, int], float] = {}
 
         def score(slope: int, origin: int) -> float:
@@ -198,6 +198,8 @@ class _Problem:
         slope = min(range(max(1, origin), highest + 1), key=lambda n: score(n, origin))
         if not np.isfinite(score(slope, origin)):
             slope, origin = 1, 1
+        if slope == most < WIDEST_ORDER:
+            return self.search(domain, WIDEST_ORDER)
         return self._solve(domain, slope, origin, lens.pivot, lens.reach, lens.weights)
 
     def pivot_of(self, field: RayField) -> tuple[float, float]:
@@ -259,11 +261,11 @@ class _Lens:
     group: np.typing.NDArray[np.int64]  # (n,)
 
     @classmethod
-    def of(cls, problem: _Problem, domain: Domain, start: RayField, order: int) -> _Lens:
+    def of(cls, problem: _Problem, domain: Domain, start: RayField, order: int, most: int = MAX_ORDER) -> _Lens:
         weights = problem.weights_of(start)
         pivot, reach = problem.pivot_of(start)
         root = np.sqrt(weights)[:, None]
-        terms = polynomial.design(domain.square(problem.pixels), MAX_ORDER) * root
+        terms = polynomial.design(domain.square(problem.pixels), max(most, order)) * root
         across = problem.across * root
         for _ in range(2):  # Gauss-Newton in the pivot alone, A held constant: exact for a lens with one centre
             b = terms[:, : len(polynomial.exponents(order))]

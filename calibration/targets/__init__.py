@@ -22,7 +22,7 @@ from calibration.targets.layout import (
 )
 from calibration.targets.listed import measure_marks
 from calibration.targets.markers import find_markers, spread_of, upright
-from calibration.targets.spots import find_spots
+from calibration.targets.spots import Spots, find_spots
 
 __all__ = [
     "Charuco",
@@ -32,6 +32,7 @@ __all__ = [
     "MarkerPlace",
     "Polarity",
     "SpotGrid",
+    "Spots",
     "Target",
     "eccentricity_of_map",
     "find_charuco",

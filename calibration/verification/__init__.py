@@ -6,11 +6,11 @@ Read: analysis, leave_out, observations, redundancy, misplacement, hypotheses, f
     wording.
 """
 
-from calibration.verification.analysis import Interplane, Intraplane, block_image, interplane, intraplane
+from calibration.verification.analysis import Interplane, Intraplane, beyond_reach, block_image, interplane, intraplane
 from calibration.verification.faults import find_faults
 from calibration.verification.leave_out import HeldOut, against, held_out, leave_views_out
 from calibration.verification.rig_faults import faults_against
-from calibration.verification.wording import Fault, Lattice
+from calibration.verification.wording import Fault, Lattice, of_marks, of_too_many_marks
 
 __all__ = [
     "Fault",
@@ -19,6 +19,7 @@ __all__ = [
     "Intraplane",
     "Lattice",
     "against",
+    "beyond_reach",
     "block_image",
     "faults_against",
     "find_faults",
@@ -26,4 +27,6 @@ __all__ = [
     "interplane",
     "intraplane",
     "leave_views_out",
+    "of_marks",
+    "of_too_many_marks",
 ]

@@ -9,8 +9,11 @@ import numpy as np
 
 from calibration.camera import GRID, pixel_grid
 from calibration.geometry import Array
-from calibration.rays import PlaneMarks, RayField, TwoPlaneCamera, TwoPlaneFit, rms
+from calibration.rays import MAX_ORDER, PlaneMarks, RayField, TwoPlaneCamera, TwoPlaneFit, rms
 from calibration.verification.redundancy import redundancy_of
+
+_BEYOND = 6.0  # times the median residual; chance gives the worst of 2,000 marks four times it
+_BEYOND_PX = 0.05  # less is told by the figures
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +102,30 @@ def split_residuals(field: RayField, planes: Sequence[PlaneMarks]) -> ResidualSp
         np.sqrt(by_plane / counts),
         found.mark,
         found.target_shift,
+    )
+
+
+def beyond_reach(fit: TwoPlaneFit) -> str:
+    """Where the field of rays does not follow the lens although its order is as high as it may be; empty where it does.
+
+    At the corners of a very wide lens the polynomial converges slowly. What it misses there is its own and no fault of the
+    marks: they are off by `_BEYOND` times what is usual.
+    """
+    field = fit.joint.field
+    if field.slope_order < MAX_ORDER:
+        return ""
+    pixels = np.concatenate([m.pixels for m in fit.marks])
+    world = np.concatenate([m.world for m in fit.marks]) @ field.c_from_d
+    offset = world[:, :2] - field.crossing(pixels, world[:, 2])
+    length = np.linalg.norm(np.linalg.inv(field.jacobian(pixels, world[:, 2])) @ offset[:, :, None], axis=1)[:, 0]
+    off = length > max(_BEYOND * float(np.median(length)), _BEYOND_PX)
+    if not off.any():
+        return ""
+    u, v = pixels[int(np.argmax(length))]
+    return (
+        f"the rays of order {field.slope_order} do not follow the lens as far as near pixel ({u:.0f}, {v:.0f}): {int(off.sum())} of "
+        f"{len(length)} marks there are off by up to {length.max():.2g} px: keep what matters nearer to the middle of the image, or "
+        "show more marks in that corner"
     )
 
 

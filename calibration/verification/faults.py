@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.geometry import Array
-from calibration.rays import PlaneMarks, RayField, fit_ray_field
+from calibration.geometry import Array, Bools
+from calibration.rays import MAX_ORDER, PlaneMarks, RayField, fit_ray_field
 from calibration.verification import misplacement as placement
 from calibration.verification._gross import coarse_starts
 from calibration.verification.hypotheses import (
@@ -41,6 +41,7 @@ SCATTER_PX = (
 SAME_POINT = (
     13.8  # chi-square of two freedoms that chance exceeds once in a thousand: a stretch about the target's middle
 )
+_TRUNCATION = 3.0  # times what the last order changed in a mark: as much may be the lens and not the mark
 MOST_MARKS = 0.05  # of all marks that may be dropped one by one; more are no matter of single marks
 
 
@@ -189,7 +190,7 @@ def _explain(
         good = [p.select(k) for p, k in zip(stated, kept, strict=True)]
         right = tuple(placement.put_right(basis, p, a) for p, a in zip(good, amounts, strict=True))
         redundancy = redundancy_of(right, basis)
-        worse = _drop(redundancy, kept)
+        worse = _drop(redundancy, kept, right, basis)
         if worse is not None and turn < ROUNDS - 1:
             kept = worse
             continue
@@ -221,17 +222,24 @@ def _explain(
 
 
 def _drop(
-    redundancy: Redundancy, kept: tuple[np.typing.NDArray[np.bool_], ...]
+    redundancy: Redundancy,
+    kept: tuple[np.typing.NDArray[np.bool_], ...],
+    right: Sequence[PlaneMarks],
+    basis: RayField,
 ) -> tuple[np.typing.NDArray[np.bool_], ...] | None:
     """Masks without the marks that are off by more than chance, or None where there are none.
 
     A mark is off where its shift is beyond what the worst of so many good ones would show. Centroids of real spots have
     longer tails than a normal distribution: the limit follows the 95 % quantile of the shifts. Only marks at least half
-    as bad as the worst go at a time, since a bad mark makes its neighbours look bad.
+    as bad as the worst go at a time, since a bad mark makes its neighbours look bad. No mark is blamed for what the field
+    cannot follow.
     """
     distance = np.sqrt(redundancy.shift_chi2)
     limit = max(_limit(len(distance)), 2.5 * float(np.quantile(distance, 0.95)))
     bad = distance > max(limit, 0.5 * float(distance.max()))
+    if bad.any():
+        distance = np.where(_settled(redundancy, right, basis), distance, 0.0)
+        bad = distance > max(limit, 0.5 * float(distance.max()))
     before = sum(int((~k).sum()) for k in kept)
     if not bad.any() or bad.sum() + before > max(1, MOST_MARKS * (len(distance) + before)):
         return None
@@ -242,6 +250,23 @@ def _drop(
         masks.append(new)
         at += n
     return tuple(masks)
+
+
+def _settled(redundancy: Redundancy, right: Sequence[PlaneMarks], basis: RayField) -> Bools:
+    """Mask (N,) of the marks whose shifts are more than what the last orders of the field changed in them.
+
+    At the corner of a very wide lens the polynomial has not converged, and what it misses is large at single marks. Where the
+    order could be raised by all of `EXTRA_ORDER` it has converged, and every shift counts.
+    """
+    order = redundancy.field.slope_order
+    if order < MAX_ORDER:
+        return np.ones(len(redundancy.shift_px), dtype=bool)
+    change = np.zeros(len(redundancy.shift_px))
+    for most in (order - 1, order - 2):
+        lower = redundancy_of(right, basis, most=most)
+        fallen = min(1.0, redundancy.sigma_px / lower.sigma_px) ** 0.5  # more slowly at a corner than in the middle
+        change = np.maximum(change, fallen * np.linalg.norm(redundancy.shift_px - lower.shift_px, axis=1))
+    return np.asarray(np.linalg.norm(redundancy.shift_px, axis=1) > _TRUNCATION * change)
 
 
 def _limit(marks: int) -> float:

@@ -43,11 +43,11 @@ class Observations:
         return np.asarray(np.concatenate(blocks)[self.order])
 
 
-def fit_field(rows: Observations, basis: RayField) -> RayField:
-    """Field whose orders predict best the sightings of a mark left out, raised by `EXTRA_ORDER`."""
+def fit_field(rows: Observations, basis: RayField, most: int = MAX_ORDER) -> RayField:
+    """Field whose orders predict best the sightings of a mark left out, raised by `EXTRA_ORDER`, to ``most`` at most."""
     depth, across = rows.world[:, 2], rows.world[:, :2]
     fewest = min(len(p) for p in rows.planes)
-    highest = max(n for n in range(1, MAX_ORDER + 1) if n == 1 or fewest >= 1.5 * len(polynomial.exponents(n)))
+    highest = max(n for n in range(1, most + 1) if n == 1 or fewest >= 1.5 * len(polynomial.exponents(n)))
     start = _solve_field(rows, basis, min(3, highest), min(1, highest), np.ones(len(depth)))
     weight = 1.0 / np.sqrt(np.maximum(np.abs(np.linalg.det(start.jacobian(rows.pixels, depth))), 1e-30))
     square = basis.domain.square(rows.pixels)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.geometry import Array, Ints
-from calibration.rays import PlaneMarks, RayField
+from calibration.rays import MAX_ORDER, PlaneMarks, RayField
 from calibration.verification import misplacement as placement
 from calibration.verification.misplacement import MODES
 from calibration.verification.observations import Observations, fit_field
@@ -47,7 +47,7 @@ class Redundancy:
         return len(self.score) // MODES
 
 
-def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
+def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField, *, most: int = MAX_ORDER) -> Redundancy:
     """Eliminate the field of rays and judge the planes by what is left.
 
     Parameters
@@ -56,6 +56,8 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
         Two or more. With two, the field follows every mode of either and ``information`` vanishes.
     basis : RayField
         Gives depth frame, domain, pivot and reach; its orders and coefficients are not used.
+    most : int
+        Highest order of the field.
 
     Notes
     -----
@@ -63,7 +65,7 @@ def redundancy_of(planes: Sequence[PlaneMarks], basis: RayField) -> Redundancy:
     sighting only would let the field learn the errors of the target), and then higher by `sightings.EXTRA_ORDER`.
     """
     rows = Observations.of(planes, basis.c_from_d)
-    field = fit_field(rows, basis)
+    field = fit_field(rows, basis, most)
     here = placement.expected(field, rows.pixels, rows.world)
     to_px = np.linalg.inv(field.jacobian(here, rows.world[:, 2]))
     design = field.design(here, rows.world[:, 2])

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from calibration.geometry import Array, Pose
-from calibration.rays import PlaneMarks
+from calibration.rays import MOST_BAD, BadMarks, PlaneMarks
 from calibration.verification import misplacement as placement
 from calibration.verification.hypotheses import Choice, Explained, Hypothesis, Score, alternatives
 from calibration.verification.misplacement import MODES, PITCH, ROTATION, SLIP_X, SLIP_Y, STAND_OFF, TILT_X, TILT_Y
@@ -40,7 +40,7 @@ class Fault:
     unit: str  # "mm", "deg", "%", "px", or "" without size
     alternatives: tuple[str, ...]  # what the data cannot tell apart from it
     centre: tuple[float, float, float] | None  # mm in C, about which the plane is rotated
-    mark: int | None  # number of the mark on the target
+    mark: int | None  # number of the mark on the target; such a fault does not make a session fail
     remedy: str  # what was found and what to do, one line
 
 
@@ -179,9 +179,26 @@ def of_mark(plane: PlaneMarks, row: int, size: float, error: float) -> Fault:
     number, (u, v) = int(plane.mark[row]), plane.pixels[row]
     remedy = (
         f"plane {plane.name}: mark {number} near pixel ({u:.0f}, {v:.0f}) is off by {size:.3g} +- {error:.1g} px: "
-        "look for dirt, a reflection or a damaged spot there; clean it and take the images again, or leave the mark out"
+        "it is left out; look for dirt, a reflection or a damaged spot there"
     )
     return Fault(plane.name, "mark", size, error, "px", (), None, number, remedy)
+
+
+def of_marks(plane: PlaneMarks, bad: BadMarks) -> tuple[Fault, ...]:
+    """Every bad mark of a plane."""
+    return tuple(of_mark(plane, int(k), float(bad.size[k]), float(bad.sigma[k])) for k in np.flatnonzero(bad.rows))
+
+
+def of_too_many_marks(plane: str, faults: Sequence[Fault], marks: int) -> Fault | None:
+    """A plane of so many marks with more bad ones than may be left out, or None."""
+    if len(faults) <= max(1, int(MOST_BAD * marks)):
+        return None
+    low, high = min(f.value for f in faults), max(f.value for f in faults)
+    remedy = (
+        f"plane {plane}: {len(faults)} of {marks} marks are off by {low:.2g} to {high:.2g} px, and no more than "
+        f"{100 * MOST_BAD:.0f} % may be left out: clean the target, look for reflections, and take the images again"
+    )
+    return Fault(plane, "mark", float(len(faults)), float("nan"), "", (), None, None, remedy)
 
 
 def of_scatter(worst: Hypothesis, stated: Sequence[PlaneMarks], score_of_modes: Score, off: float) -> Fault:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import CalibrationError
-from calibration.geometry import Array, Pose
-from calibration.rays import PlaneMarks, fit_plane_map, polynomial
-from calibration.targets import Charuco, Chessboard, CircleGrid, MarkerBoard, SpotGrid
+from calibration.geometry import Array, Bools, Pose
+from calibration.rays import PlaneMarks, find_bad_marks, fit_plane_map, polynomial
+from calibration.targets import Charuco, Chessboard, CircleGrid, MarkerBoard, SpotGrid, Spots
+from calibration.verification import Fault, of_marks, of_too_many_marks
 from ranging.background import Image
+from scope.calibrating.beside import beside_the_grid
 from scope.session import CalibrationPlan, ListedMarks, PlanePlan, mean_gray, read_alike
 
 Rejected = tuple[float, float, str]  # u, v in px, and why
+_ALIKE = 0.4  # of the usual diameter: spots that differ by less are marks
+_BESIDE = "beside where the other marks say: left out"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +41,26 @@ class MeasuredPlane:
     eccentricity_px: float  # largest shift of a circle's centroid by perspective and lens, which was corrected
     image: Image  # the mean, for pictures
     size: tuple[int, int]
+    bad: tuple[Fault, ...] = ()  # one a mark that is off and was left out
+
+    def without(self, faults: Sequence[Fault]) -> MeasuredPlane:
+        """The same without the marks of these faults."""
+        off = np.isin(self.marks.mark, [f.mark for f in faults if f.mark is not None])
+        places = tuple((float(u), float(v), _BESIDE) for u, v in self.marks.pixels[off])
+        return replace(
+            self, marks=self.marks.select(~off), rejected=(*self.rejected, *places), bad=(*self.bad, *faults)
+        )
+
+    @property
+    def spoilt(self) -> str:
+        """Why a view by hand does not serve: more than a quarter of its marks are off; empty where it does."""
+        n = len(self.marks) + len(self.bad)
+        return f"{len(self.bad)} of {n} marks are off their places" if len(self.bad) > max(1, 0.25 * n) else ""
+
+    @property
+    def too_many(self) -> Fault | None:
+        """The fault of a plane with more bad marks than may be left out."""
+        return of_too_many_marks(self.plan.name, self.bad, len(self.marks) + len(self.bad))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +76,7 @@ class _Found:
     saturated: Array | None = None
     mirrored: bool = False
     points: Array | None = None  # (m, 3) mm, of all marks, where the view tells how the target's frame lies
+    strays: Array | None = None  # (s, 2) px, spots like those of the grid that lie on no place of it
 
 
 def measure_plane(plan: CalibrationPlan, plane: PlanePlan) -> MeasuredPlane:
@@ -77,11 +103,16 @@ def measure_plane(plan: CalibrationPlan, plane: PlanePlan) -> MeasuredPlane:
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
     repeat, noise = _repeats(plan, plane, images, found)
-    return MeasuredPlane(
+    seen = MeasuredPlane(
         plane, marks, found.found, expected, found.rejected, _median(found.diameter), _median(found.contrast),
         _median(found.blur), 0.0 if found.saturated is None else float((found.saturated > 0.1).mean()), repeat, noise,
         found.mirrored, shift, mean, (width, height),
     )  # fmt: skip
+    seen = seen.without(of_marks(marks, find_bad_marks(marks)))
+    if plan.target is None or plane.listed is not None:
+        return seen
+    beside = beside_the_grid(found.strays, seen.marks, plan.target.marks)
+    return replace(seen, bad=(*seen.bad, *beside))
 
 
 def _median(values: Array | None) -> float:
@@ -108,8 +139,14 @@ def _find_grid(target: SpotGrid, plane: PlanePlan, image: Image) -> _Found:
     kept = spots.select(labels.labelled)
     return _Found(
         kept.centroids, kept.covariance, labels.mark[labels.labelled], len(spots), spots.rejected, kept.diameter,
-        kept.contrast, kept.blur, kept.saturated, labels.mirrored,
+        kept.contrast, kept.blur, kept.saturated, labels.mirrored, strays=spots.select(_alike(spots, labels.labelled)).centroids,
     )  # fmt: skip
+
+
+def _alike(spots: Spots, labelled: Bools) -> Bools:
+    """Spots without a label that are as large as those with one: dirty marks rather than dirt."""
+    usual = float(np.median(spots.diameter[labelled])) if labelled.any() else np.inf
+    return np.asarray(~labelled & (np.abs(spots.diameter / usual - 1.0) < _ALIKE))
 
 
 def _find_listed(plan: CalibrationPlan, listed: ListedMarks, image: Image) -> _Found:

@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration.errors import CalibrationError, FileError
 from calibration.notebook import Picture, Shown, Summary
-from calibration.rays import FreehandFit, Order, PlaneMarks, TwoPlaneFit, fit_freehand, fit_two_plane, locate_target
+from calibration.rays import FreehandFit, Order, TwoPlaneFit, fit_freehand, fit_two_plane, locate_target
 from calibration.rig import Rig, sha256_of
 from calibration.stages import Stage
 from scope.calibrating.channels import Choice
@@ -21,7 +21,7 @@ from scope.calibrating.lasers import FoundLasers, LaserView, find_lasers
 from scope.calibrating.left_out import LeftOut, small
 from scope.calibrating.marks import MeasuredPlane, measure_plane
 from scope.calibrating.stages import find_stages
-from scope.calibrating.verdict import Verdict, judge_freehand, judge_jig
+from scope.calibrating.verdict import Verdict, judge_freehand, judge_jig, named_faults
 from scope.session import CalibrationPlan, CalibrationSession, PlanePlan, gray, plan_of, read_calibration, read_image
 from scope.version import __version__
 
@@ -116,16 +116,18 @@ def calibrate(
     left_out: list[LeftOut] = []  # views by hand: the others may do without them
     for k, plane in enumerate(plan.planes):
         try:
-            seen.append(measure_plane(plan, plane))
+            found = measure_plane(plan, plane)
+            if plane.c_from_target is None and found.spoilt:
+                raise CalibrationError(found.spoilt)
+            seen.append(found)
         except (CalibrationError, FileError) as error:
             if plane.c_from_target is not None or (isinstance(error, FileError) and plane.name not in plan.globbed):
                 raise
             left_out.append(_view_left_out(plan, plane, error))
         on_plane(k + 1, len(plan.planes))
     seen, odd = _one_size(plan, seen)
-    jig = [s.marks for s in seen if s.plan.c_from_target is not None]
-    if jig:
-        return _finish_jig(plan, seen, jig, model, order, [*left_out, *odd])
+    if any(s.plan.c_from_target is not None for s in seen):
+        return _finish_jig(plan, seen, model, order, [*left_out, *odd])
     return _finish_freehand(plan, seen, [*left_out, *odd])
 
 
@@ -183,15 +185,21 @@ def _one_size(plan: CalibrationPlan, seen: list[MeasuredPlane]) -> tuple[list[Me
 def _finish_jig(
     plan: CalibrationPlan,
     seen: list[MeasuredPlane],
-    jig: list[PlaneMarks],
     model: Model,
     order: Order,
     left_out: list[LeftOut],
 ) -> Calibration:
     try:
-        fit = fit_two_plane(jig, seen[0].size, order=order, model="two-plane" if model == "two-plane" else "joint")
+        fit = _fit_jig(seen, model, order)
+        named = named_faults(plan, fit, seen)
+        alone = [fault for fault in named if fault.mark is not None]
+        if alone:  # what no plane shows by itself, but all together
+            seen = [s.without([fault for fault in alone if fault.plane == s.plan.name]) for s in seen]
+            fit = _fit_jig(seen, model, order)
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
+    named = tuple(fault for fault in named if fault.mark is None)
+    left_out += _marks_left_out(seen)
     placed = {marks.name: marks for marks in fit.marks}
     planes = []
     for s in seen:
@@ -202,8 +210,18 @@ def _finish_jig(
     found = find_lasers(plan, fit.camera, planes, curved=None)
     stages = find_stages(plan, fit.camera, found.lasers)
     left_out += [*found.left_out, *stages.left_out]
-    verdict = judge_jig(plan, seen, fit, found.lasers, stages, left_out)
+    verdict = judge_jig(plan, seen, fit, found.lasers, stages, left_out, named)
     return _calibration(plan, seen, fit, found, stages.stages, verdict, left_out)
+
+
+def _fit_jig(seen: list[MeasuredPlane], model: Model, order: Order) -> TwoPlaneFit:
+    jig = [s.marks for s in seen if s.plan.c_from_target is not None]
+    return fit_two_plane(jig, seen[0].size, order=order, model="two-plane" if model == "two-plane" else "joint")
+
+
+def _marks_left_out(seen: list[MeasuredPlane]) -> list[LeftOut]:
+    told = [(s.plan.name, fault.remedy) for s in seen for fault in s.bad]
+    return [LeftOut("mark", name, words.removeprefix(f"plane {name}: ")) for name, words in told]
 
 
 def _finish_freehand(plan: CalibrationPlan, seen: list[MeasuredPlane], left_out: list[LeftOut]) -> Calibration:
@@ -218,6 +236,7 @@ def _finish_freehand(plan: CalibrationPlan, seen: list[MeasuredPlane], left_out:
         for name, reason in fit.dropped
         if name not in before
     ]
+    left_out += _marks_left_out(seen)
     placed = {view.name: view for view in fit.views}
     planes = [(s.plan, placed[s.plan.name]) for s in seen if s.plan.name in placed]
     found = find_lasers(plan, fit.camera, planes, curved=False)

@@ -29,6 +29,7 @@ from calibration.verification import (
     Interplane,
     Intraplane,
     Lattice,
+    beyond_reach,
     find_faults,
     held_out,
     interplane,
@@ -66,10 +67,12 @@ def judge_jig(
     lasers: dict[str, Laser],
     stages: FoundStages,
     left_out: Sequence[LeftOut] = (),
+    named: Sequence[Fault] = (),
 ) -> Verdict:
-    """Judge a calibration on known stand-offs: faults, held-out planes, and the limits of [accept]."""
+    """Judge a calibration on known stand-offs: the faults that `named_faults` gave, held-out planes, and the limits of [accept]."""
     held = held_out(fit, model=fit.camera.model)
     agreement, inside = interplane(fit.camera), intraplane(fit)
+    corner = beyond_reach(fit)
     of_plane = {h.name: h for h in held}
     at = {m.name: k for k, m in enumerate(fit.marks)}
     rows = []
@@ -89,7 +92,8 @@ def judge_jig(
             "placement_px": float(inside.split.plane_px[k]),
         }
         rows.append(_row(s, of_plane.get(s.plan.name), **figures))
-    faults = [*_moved(seen), *[mirrored_fault(s.plan.name) for s in seen if s.mirrored], *_named(plan, fit, seen)]
+    faults = [*_moved(seen), *[mirrored_fault(s.plan.name) for s in seen if s.mirrored], *map(fault_content, named)]
+    faults += _of_marks(seen)
     content = {
         "interplane_px": agreement.interplane_px,
         "ray_mm": _rms([h.rms_mm for h in held if h.between]),
@@ -105,7 +109,7 @@ def judge_jig(
         },
         "dropped": [each.content for each in left_out],
         "stages": [stage_content(stage) for stage in stages.stages],
-        "warnings": list(stages.warnings),
+        "warnings": [*([corner] if corner else []), *stages.warnings],
     }
     verdict = _verdict(plan, seen, rows, lasers, faults, content, planes=len(fit.marks))
     return Verdict(verdict.verification, verdict.content, inside, agreement, held)
@@ -141,7 +145,16 @@ def judge_freehand(
         "stages": [stage_content(stage) for stage in stages.stages],
         "warnings": list(stages.warnings),
     }
-    verdict = _verdict(plan, seen, rows, lasers, _moved(seen), content, planes=0, open_=undetermined(fit, advice))
+    verdict = _verdict(
+        plan,
+        seen,
+        rows,
+        lasers,
+        [*_moved(seen), *_of_marks(seen, many=False)],
+        content,
+        planes=0,
+        open_=undetermined(fit, advice),
+    )
     return Verdict(verdict.verification, verdict.content, held_out=held, coverage=coverage)
 
 
@@ -190,7 +203,7 @@ def _row(seen: MeasuredPlane, held: HeldOut | None = None, **figures: float) -> 
     }
 
 
-def _named(plan: CalibrationPlan, fit: TwoPlaneFit, seen: list[MeasuredPlane]) -> list[dict[str, Any]]:
+def named_faults(plan: CalibrationPlan, fit: TwoPlaneFit, seen: Sequence[MeasuredPlane]) -> tuple[Fault, ...]:
     """Faults that the planes show against each other; ``remedy`` is a whole sentence that names plane, fault, size and what to do.
 
     Planes that are seen mirrored have their fault already and are left out.
@@ -198,9 +211,19 @@ def _named(plan: CalibrationPlan, fit: TwoPlaneFit, seen: list[MeasuredPlane]) -
     mirrored = {s.plan.name for s in seen if s.mirrored}
     planes = [m for m in fit.marks if m.name not in mirrored]
     if len(planes) < 2:
-        return []
-    field = fit.joint.field if not mirrored else None
-    return [fault_content(fault) for fault in find_faults(planes, field=field, lattice=lattice_of(plan))]
+        return ()
+    return find_faults(planes, field=fit.joint.field if not mirrored else None, lattice=lattice_of(plan))
+
+
+def _of_marks(seen: Sequence[MeasuredPlane], *, many: bool = True) -> list[dict[str, Any]]:
+    """Planes with too many bad marks (a view by hand is one of many, and has none), and every mark that was left out."""
+    spoilt = [s.too_many for s in seen if many and s.plan.c_from_target is not None]
+    return [fault_content(f) for f in (*spoilt, *[f for s in seen for f in s.bad]) if f is not None]
+
+
+def fails(fault: dict[str, Any]) -> bool:
+    """Whether a fault makes a session fail: all but a single mark, which is left out."""
+    return fault["kind"] != "mark" or fault["mark"] is None
 
 
 def lattice_of(plan: CalibrationPlan) -> Lattice | None:
@@ -262,10 +285,10 @@ def _verdict(
     open_: Sequence[str] = (),
 ) -> Verdict:
     """Faults, limits that do not hold, and what is left open (``open_``) each end in "not passed"."""
-    failed = [*[str(fault["remedy"]) for fault in faults], *open_]
+    failed = [*[str(fault["remedy"]) for fault in faults if fails(fault)], *open_]
     failed += _beyond(plan, seen, lasers, content["ray_mm"])
     passed = not failed
-    why = "; ".join(failed) if failed else _praise(plan, planes)
+    why = "; ".join(failed) if failed else _praise(plan, planes, len(faults))
     content = {
         "passed": passed,
         "why": why,
@@ -306,13 +329,15 @@ def _beyond(plan: CalibrationPlan, seen: list[MeasuredPlane], lasers: dict[str, 
     return failed
 
 
-def _praise(plan: CalibrationPlan, planes: int) -> str:
+def _praise(plan: CalibrationPlan, planes: int, bad_marks: int) -> str:
     limits = ", ".join(f"{key} {value:g}" for key, value in plan.accept.items())
     tested = (
         f"no faults, and within {limits}"
         if limits
         else "no faults; no [accept] limits were given, so only self-consistency was tested"
     )
+    if bad_marks:
+        tested = f"{bad_marks} bad mark{'s' if bad_marks > 1 else ''} left out; else {tested}"
     if planes == 2:
         tested += "; two planes have no redundancy: a misplaced plane would not show, so a third is advised"
     return f"{tested}; {ADVICE}"

@@ -12,7 +12,7 @@ from calibration.rays import TwoPlaneCamera, locate_target
 from calibration.rig import Rig
 from calibration.verification import HeldOut, against, faults_against
 from scope.calibrating.marks import MeasuredPlane, measure_plane
-from scope.calibrating.verdict import fault_content, lattice_of, mirrored_fault
+from scope.calibrating.verdict import fails, fault_content, lattice_of, mirrored_fault
 from scope.session import CalibrationPlan, CalibrationSession, PlanePlan, plan_of, read_calibration
 
 SATURATED = 0.05  # share of the spots that may be clipped
@@ -67,6 +67,7 @@ def verify(
         except CalibrationError as error:
             raise CalibrationError(f"{plan.path}: {error}") from error
         rows.append((against(rig.camera, marks), plane.c_from_target is not None))
+        faults += [fault_content(f) for f in (seen.too_many, *seen.bad) if f is not None]
         if seen.mirrored:
             faults.append(mirrored_fault(plane.name))
         elif plane.c_from_target is not None:
@@ -84,13 +85,13 @@ def _judged(
     if limit is not None:
         within = {held.name for held, _ in rows if held.rms_mm <= limit}
         faults = [f for f in faults if f["plane"] not in within]  # good enough for the work
-    failed = [str(fault["remedy"]) for fault in faults]
+    failed = [str(fault["remedy"]) for fault in faults if fails(fault)]
     if not rig.verification.passed:
         failed.insert(0, f"the rig's own calibration did not pass: {rig.verification.why}")
     if limit is not None and worst.rms_mm > limit:
         failed.append(
             f"plane {worst.name}: rays are off by {worst.rms_mm:.4f} mm rms, {limit:g} allowed"
-            + ("" if faults else ": has the camera moved, or is the plane misplaced? calibrate again")
+            + ("" if any(map(fails, faults)) else ": has the camera moved, or is the plane misplaced? calibrate again")
         )
     passed = not failed
     if failed:
@@ -178,6 +179,8 @@ def _checked(plan: CalibrationPlan, plane: PlanePlan) -> dict[str, Any]:
 
 def _remedy(seen: MeasuredPlane, *, blurred: bool, moved: bool) -> str:
     advice = []
+    if seen.too_many:
+        advice.append(seen.too_many.remedy.removeprefix(f"plane {seen.plan.name}: "))
     if seen.mirrored:
         advice.append("the target is seen mirrored: turn its front to the camera, or correct `fiducials`")
     if len(seen.marks) < 0.5 * seen.expected:
