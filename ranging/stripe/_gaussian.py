@@ -39,6 +39,7 @@ from ranging.stripe._table import (
     WIDTH,
     CameraNoise,
     Lines,
+    is_clipped,
 )
 
 Single: TypeAlias = Any  # a float32 of the machine
@@ -266,7 +267,7 @@ def bell(uu: Single) -> Single:
 @compiled
 def _gather(lines: Lines, place: NDArray[np.int32], start: int, reach: int, window: _Window) -> None:
     """Pixels of sixteen lines within ``reach`` of their places; ``known`` is 0 where there are none."""
-    pixels, dark, layout, saturation = lines
+    pixels, dark, layout = lines.pixels, lines.dark, lines.layout
     y, known, clipped, low, high = window
     count, length, line_step, pixel_step = layout
     has_dark = dark.size > 0
@@ -286,9 +287,9 @@ def _gather(lines: Lines, place: NDArray[np.int32], start: int, reach: int, wind
         else:
             for k in range(first, last):
                 y[k, m] = np.float32(pixels[at + k * pixel_step])
-        if pixels[at + reach * pixel_step] >= saturation:
+        if lines.clipped.size > 0 or pixels[at + reach * pixel_step] >= lines.saturation:
             for k in range(first, last):
-                clipped[m] += 1 if pixels[at + k * pixel_step] >= saturation else 0
+                clipped[m] += 1 if is_clipped(lines, at + k * pixel_step) else 0
     for k in range(2 * reach + 1):
         for m in range(BATCH):
             inside = np.float32(k) >= low[m] and np.float32(k) <= high[m]
@@ -310,17 +311,17 @@ def _impute(
     Lane ``m`` holds the line and the first pixel of ``corner``; looked at are the places ``span`` of the window. ``profile``
     is position in the window, sigma, amplitude and floor; ``camera`` 1 / gain and the variance of a dark pixel.
     """
-    pixels, dark, layout, saturation = lines
+    pixels, dark, layout, _, _ = lines
     y, known = window.y, window.known
     (i, offset), (begin, end), (p, s, a, b), (inverse_gain, noise) = corner, span, profile, camera
     for k in range(begin, end):
         at = i * layout[2] + (offset + k) * layout[3]
-        if known[k, m] == 0.0 or pixels[at] < saturation:
+        if known[k, m] == 0.0 or not is_clipped(lines, at):
             continue
         u = (k - p) / s
         g = math.exp(-0.5 * u * u)
         deviation = math.sqrt(noise + a * inverse_gain * g)
-        level = saturation - 0.5
+        level = min(np.float64(pixels[at]), lines.saturation) - 0.5
         if dark.size > 0:
             level -= dark[at]
         z = (level - b - a * g) / deviation

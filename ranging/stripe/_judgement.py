@@ -40,6 +40,9 @@ EDGE = int(Reason.EDGE)
 OUT_OF_VIEW = int(Reason.OUT_OF_VIEW)
 
 OVEREXPOSED = 4.0  # times the clipping level: beyond, a plateau of 3.3 sigma hides all but the tails
+OVEREXPOSED_TOGETHER = (
+    2.5  # the same where pixels are taken together, of which each that holds clipped light tells less
+)
 SIGNIFICANT = 4.0  # standard deviations by which an asymmetry must exceed what is allowed
 JUMP = 1.25  # px, step between lines, unlike the steps before and after, at which a stretch of stripe ends
 GAP = 3  # lines that may be missing within a stretch
@@ -56,6 +59,7 @@ class Limits(NamedTuple):
 
     threshold: float  # grey levels above the background
     saturation: float  # grey levels
+    overexposed: float  # grey levels
     narrowest: float  # px, one sigma
     widest: float  # px, one sigma
     two_peaks: float  # share of the peak
@@ -69,7 +73,7 @@ def judge(table: Array, peaks: NDArray[np.int32], limits: Limits, reason: Codes)
     ``table`` (ROWS, N) is changed in place: sigma grows with the misfit of the profile and by the shift that its
     asymmetry allows; lines without an answer become NaN. ``reason`` (N,) receives the codes.
     """
-    threshold, saturation, narrowest, widest, two_peaks, edge = limits
+    threshold, saturation, overexposed, narrowest, widest, two_peaks, edge = limits
     for i in range(table.shape[1]):
         state, peak, width = table[STATE, i], table[PEAK, i], table[WIDTH, i]
         top, second = np.float64(peaks[1, i]), np.float64(peaks[2, i])
@@ -87,7 +91,7 @@ def judge(table: Array, peaks: NDArray[np.int32], limits: Limits, reason: Codes)
             code = TOO_WIDE
         elif width < narrowest:
             code = TOO_NARROW
-        elif table[CLIPPED, i] > 0 and peak > OVEREXPOSED * saturation:
+        elif table[CLIPPED, i] > 0 and peak > overexposed:
             code = SATURATED
         elif second - table[FLOOR, i] > two_peaks * min(peak, top - table[FLOOR, i]):
             code = TWO_PEAKS

@@ -25,7 +25,7 @@ def ridge_lines(lines: Lines, scale: float, camera: CameraNoise, table: Array) -
 
     A line whose neighbourhood leaves the image, or whose ridge runs nearly along the line, becomes DIVERGED.
     """
-    pixels, dark, (count, length, line_step, pixel_step), _ = lines
+    pixels, dark, (count, length, line_step, pixel_step), _, _ = lines
     has_dark = dark.size > 0
     reach = math.ceil(3.0 * scale)
     size = 2 * reach + 1

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +24,31 @@ from calibration.compiled import compiled
 from calibration.geometry import Array
 from ranging.background import Noise
 from ranging.stripe._gaussian import FAR, LONGEST
-from ranging.stripe._table import FLOOR, GOOD, PEAK, POSITION, SIGMA, STATE, WIDTH, CameraNoise, Lines
+from ranging.stripe._table import (
+    FLOOR,
+    GOOD,
+    NO_FLANK,
+    PEAK,
+    POSITION,
+    SIGMA,
+    STATE,
+    WIDTH,
+    CameraNoise,
+    Lines,
+    is_clipped,
+)
 
 GRAINS = (0.3, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # px, trial values of the correlation length
 LAGS = 5  # px, farthest products of residuals that are looked at
 REACH = 9  # px, half window of the analysis
 STEP = 4.0  # px from line to line, beyond which a stripe does not go on
 UNLIKE = 20.0  # times the squared residuals of the lines about it: beyond, chance has no part in one line of 400
+HOLD = 25.0  # 1 / 0.2^2: of its logarithm, how far the width of a speckled line may be from that of the lines about it
+FAINTEST = 20.0  # times fewer electrons than usual at which a camera may clip
+DEEPEST, QUIETEST = 5.0, 3.0  # times more electrons, and less read noise, than usual
+FLANKS = 0.003  # of the squared slope of a stripe that must be left of it where it is clipped
+HIDDEN = 4.0  # times the level of clipping, beyond which a speckled peak is anyone's guess
+ABSURD = 16.0  # times the level of clipping, which no fit may exceed
 LEAST_LINES = 40  # lines, fewer tell nothing about the noise
 
 
@@ -41,17 +60,24 @@ class Speckle:
     grain: float  # px, 1/e length of the correlation across the stripe
 
 
+class Grains(NamedTuple):
+    """What a fit under the covariance of speckle must know besides the contrast."""
+
+    grain: float  # px
+    hold: float  # weight with which the logarithm of the width is held; 0: not at all
+
+
 @compiled
 def refit_lines(
-    lines: Lines, camera: CameraNoise, contrast: Array, grain: float, usual_width: Array, table: Array
+    lines: Lines, camera: CameraNoise, contrast: Array, speckle: Grains, usual_width: Array, table: Array
 ) -> None:
     """Fit the lines that are GOOD in ``table`` and have a ``contrast`` (N,) again, under the covariance of speckle.
 
     A grain can pass for a narrow stripe: where the width is less than two thirds of the ``usual_width`` (N,) px, the
-    line starts anew from the centre of mass of the usual width. Lines with clipped pixels keep their fit. Sigma becomes
-    that of the covariance S. Longer than a screen: each step of the loop works on the whitened rows of the one before.
+    line starts anew from the centre of mass of the usual width; all widths are held near it. A clipped pixel
+    tells only that it lies above what was recorded. Sigma becomes that of the covariance S. Longer than a screen: each step of the loop works on the whitened rows of the one before.
     """
-    pixels, dark, (count, length, line_step, pixel_step), saturation = lines
+    pixels, dark, (count, length, line_step, pixel_step), saturation, _ = lines
     gain_e, variance = camera
     has_dark = dark.size > 0
     most = LONGEST
@@ -59,8 +85,10 @@ def refit_lines(
     rows = np.empty((5, most))
     low = np.empty((most, most))
     alike = np.empty(most)
+    full = np.empty(most, np.bool_)
+    more = np.empty(most)
     for d in range(most):
-        alike[d] = math.exp(-((d / grain) ** 2))
+        alike[d] = math.exp(-((d / speckle.grain) ** 2))
     f = np.empty((4, 4))
     t = np.empty(4)
     for i in range(count):
@@ -93,14 +121,13 @@ def refit_lines(
         clipped = False
         for k in range(n):
             at = i * line_step + (first + k) * pixel_step
-            clipped = clipped or pixels[at] >= saturation
-            y[k] = pixels[at]
+            full[k] = is_clipped(lines, at)
+            clipped = clipped or full[k]
+            y[k] = min(np.float64(pixels[at]), saturation)
             if has_dark:
                 y[k] -= dark[at]
-        if clipped:
-            continue
         good = True
-        for _ in range(6):
+        for _ in range(20 if clipped else 6):
             for k in range(n):
                 u = (first + k - p) / s
                 g = math.exp(-0.5 * u * u)
@@ -109,12 +136,16 @@ def refit_lines(
                 rows[2, k] = a * g * u * u / s
                 rows[3, k] = 1.0
                 rows[4, k] = y[k] - b - a * g
+                more[k] = 0.0
+                if full[k]:
+                    square = variance + a * g / gain_e + c2 * a * a * g * g
+                    rows[4, k], more[k] = _censored(y[k] - 0.5 - b - a * g, square)
             # Cholesky factor of the covariance, and the whitened derivatives and residuals.
             for k in range(n):
                 for j in range(k + 1):
                     total = c2 * alike[k - j] * a * a * rows[1, k] * rows[1, j]
                     if j == k:
-                        total += variance + a * rows[1, k] / gain_e
+                        total += variance + a * rows[1, k] / gain_e + more[k]
                     for q in range(j):
                         total -= low[k, q] * low[j, q]
                     low[k, j] = math.sqrt(total) if j == k else total / low[j, j]
@@ -132,6 +163,9 @@ def refit_lines(
                     f[r, c] = 0.0
                     for k in range(n):
                         f[r, c] += rows[r, k] * rows[c, k]
+            if speckle.hold > 0.0:
+                t[2] += speckle.hold * math.log(usual_width[i] / s) / s
+                f[2, 2] += speckle.hold / (s * s)
             good = _solve(f, t)
             if not good:
                 break
@@ -140,17 +174,35 @@ def refit_lines(
             a = max(a + t[1], 0.3 * a)
             s = min(max(s + t[2], 0.7 * s), 1.4 * s)
             b += t[3]
-            if not (abs(p - middle) <= wing and math.isfinite(a + b) and s > 0.0):
+            if not (abs(p - middle) <= wing and abs(b) + a < ABSURD * saturation and s > 0.0):
                 good = False
                 break
             if abs(step) < 0.002 * s and abs(t[2]) < 0.01 * s:
                 break
-        if good:
+        if clipped and not (good and a < HIDDEN * saturation):
+            table[STATE, i] = NO_FLANK  # what is left of it does not tell where it is
+        elif good:
             table[POSITION, i] = p
             table[SIGMA, i] = math.sqrt(f[0, 0])
             table[WIDTH, i] = s
             table[PEAK, i] = a
             table[FLOOR, i] = b
+
+
+@compiled
+def _censored(level: float, square: float) -> tuple[float, float]:
+    """Residual, and variance to be added, with which least squares has the score and curvature of a clipped pixel.
+
+    ``level`` is the least that the pixel can exceed its mean by, ``square`` its variance.
+    """
+    deviation = math.sqrt(square)
+    z = level / deviation
+    if z > 6.0:
+        hazard = z + 1.0 / z
+    else:
+        hazard = math.exp(-0.5 * z * z) * 0.7978845608028654 / max(math.erfc(z * 0.7071067811865476), 1e-30)
+    weight = min(max(hazard * (hazard - z), 1e-4), 1.0)
+    return min(hazard * deviation / weight, 4.0 * deviation), square * (1.0 / weight - 1.0)
 
 
 @compiled
@@ -188,7 +240,8 @@ class Leftover:
     """What the pixels of steady lines leave over when each line takes the running medians of its neighbours."""
 
     line: NDArray[np.int64]  # (M,) line of the image
-    left: Array  # (M, 2 REACH + 1) grey levels, scaled to the common peak
+    left: Array  # (M, 2 REACH + 1) grey levels, scaled to the common peak; 0 where they are not seen
+    seen: NDArray[np.bool_]  # (2 REACH + 1,) pixels that tell: not those at which the stripe is clipped on most lines
     peak: float  # grey levels, common to all
     width: float  # px, median
 
@@ -199,8 +252,11 @@ def leftover(lines: Lines, table: Array) -> Leftover | None:
     Lines whose peak stands alone show no stripe: the highest pixel of a dark line is anywhere, and its fit tells of the noise
     of maxima. Lines of far more than the usual residual lie at an edge, and are no speckle. ``None`` where fewer than ``LEAST_LINES`` lines are usable.
     """
-    pixels, dark, (_, length, line_step, pixel_step), saturation = lines
-    good = np.flatnonzero((table[STATE] == GOOD) & (table[PEAK] > 0) & np.isfinite(table[SIGMA]) & _goes_on(table))
+    pixels, dark, (_, length, line_step, pixel_step), saturation, masked = lines
+    sane = np.abs(table[FLOOR]) + np.abs(table[PEAK]) < ABSURD * saturation
+    good = np.flatnonzero(
+        (table[STATE] == GOOD) & (table[PEAK] > 0) & np.isfinite(table[SIGMA]) & sane & _goes_on(table)
+    )
     if len(good) < LEAST_LINES:
         return None
     p = table[POSITION, good]
@@ -211,7 +267,18 @@ def leftover(lines: Lines, table: Array) -> Leftover | None:
     where = middle[:, None] + np.arange(-REACH, REACH + 1)
     at = good[:, None] * line_step + np.clip(where, 0, length - 1) * pixel_step
     y = pixels[at].astype(np.float64)
-    steady &= (y < saturation).all(axis=1)
+    clipped = y >= saturation
+    if masked.size:
+        clipped |= masked[at]
+    seen = np.ones(y.shape[1], np.bool_)
+    if np.count_nonzero(steady & ~clipped.any(axis=1)) < max(LEAST_LINES, 0.25 * np.count_nonzero(steady)):
+        if not steady.any():
+            return None
+        seen = clipped[steady].mean(axis=0) < 0.02
+        square = (np.arange(-REACH, REACH + 1) / np.median(s[steady])) ** 2
+        if not np.sum((square * np.exp(-square))[seen]) > FLANKS * np.sum(square * np.exp(-square)):
+            return None
+    steady &= ~clipped[:, seen].any(axis=1)
     if dark.size:
         y -= dark[at]
     if np.count_nonzero(steady) < LEAST_LINES:
@@ -221,9 +288,10 @@ def leftover(lines: Lines, table: Array) -> Leftover | None:
     left -= np.median(left, axis=0)  # a constant shape that is not Gaussian is no noise
     common = float(np.median(peak[steady]))
     left *= (common / peak[steady])[:, None]
+    left[:, ~seen] = 0.0
     energy = (left**2).sum(axis=1)
     alike = energy <= UNLIKE * running_median(energy)
-    return Leftover(good[steady][alike], left[alike], common, float(np.median(s[steady])))
+    return Leftover(good[steady][alike], left[alike], seen, common, float(np.median(s[steady])))
 
 
 def _goes_on(table: Array) -> NDArray[np.bool_]:
@@ -234,27 +302,34 @@ def _goes_on(table: Array) -> NDArray[np.bool_]:
     return np.asarray(np.sum(near, axis=0) >= 2)
 
 
-def analyse(found: Leftover, known: Noise | None) -> tuple[Noise, Speckle]:
+def analyse(found: Leftover, known: Noise | None, usual: Noise) -> tuple[Noise, Speckle]:
     """Noise of the camera and speckle of the light, from how a stripe differs from its own running median.
 
     The residuals have the covariance S above, less the part that the position took up: products of residuals up to
     ``LAGS`` pixels apart are linear in read^2, 1 / gain and C^2 for every grain. The noise is what the quieter half of
     the stripe shows (the median over blocks of lines, since texture is local); the speckle is the mean of all lines
-    under that noise.
+    under that noise. Where all of a stripe is speckled, that could pass for the shot noise of few electrons: no camera is
+    taken to clip at fewer than a `FAINTEST` of the ``usual`` one's.
     """
     if known is None:
         blocks = np.array_split(found.left, max(1, len(found.left) // 32))
         quiet = np.median([_products(block) for block in blocks], axis=0)
-        known, _ = _solve_noise(quiet, found.peak, found.width, None)
-    return known, _solve_noise(_products(found.left, 0.005), found.peak, found.width, known)[1]
+        known, _ = _solve_noise(quiet, found, None, FAINTEST / usual.gain_e)
+    return known, _solve_noise(_products(found.left, 0.005), found, known, math.inf)[1]
+
+
+def within_reason(learnt: Noise, usual: Noise) -> Noise:
+    """Noise of a speckled stripe, which tells little of the camera's own: the usual where it says what no camera has."""
+    gain = learnt.gain_e if usual.gain_e / FAINTEST < learnt.gain_e < usual.gain_e * DEEPEST else usual.gain_e
+    return Noise(gain, learnt.read_noise if learnt.read_noise > usual.read_noise / QUIETEST else usual.read_noise)
 
 
 def local_contrast(found: Leftover, noise: Noise, grain: float, count: int) -> Array:
     """Contrast (count,) of every line from the lines about it; 0 where shot and read noise explain the residuals."""
-    _, constant, linear, square = _expected(found.peak, found.width, grain, noise)
+    _, constant, linear, square = _expected(found, grain, noise)
     quiet = (noise.read_noise**2 + 1 / 12) * constant[0] + linear[0] / noise.gain_e
     total = quiet + 0.01 * square[0]
-    weight = square[0] / total**2
+    weight = np.where(found.seen, square[0] / total**2, 0.0)
     excess = ((found.left**2 - quiet) @ weight) / float(square[0] @ weight)
     kernel = np.ones(25) / 25.0
     mean = np.convolve(np.pad(excess, 12, mode="edge"), kernel, mode="valid")
@@ -273,13 +348,13 @@ def _products(left: Array, share: float = 0.0) -> Array:
     return products
 
 
-def _expected(peak: float, width: float, grain: float, noise: Noise) -> tuple[Array, Array, Array, Array]:
+def _expected(found: Leftover, grain: float, noise: Noise) -> tuple[Array, Array, Array, Array]:
     """Profile m, and the products (LAGS, pixels) that a unit of read^2, of 1 / gain and of C^2 cause."""
     x = np.arange(-REACH, REACH + 1)
-    u = x / width
-    m = peak * np.exp(-0.5 * u * u)
-    slope = m * u / width
-    weight = slope / (noise.read_noise**2 + 1 / 12 + m / noise.gain_e)
+    u = x / found.width
+    m = found.peak * np.exp(-0.5 * u * u)
+    slope = m * u / found.width
+    weight = np.where(found.seen, slope, 0.0) / (noise.read_noise**2 + 1 / 12 + m / noise.gain_e)
     n = len(x)
     left = np.eye(n) - np.outer(slope, weight) / np.sum(weight * slope)
 
@@ -294,14 +369,15 @@ def _expected(peak: float, width: float, grain: float, noise: Noise) -> tuple[Ar
     return m, products(np.eye(n)), products(np.diag(m)), products(rho * np.outer(m, m))
 
 
-def _solve_noise(products: Array, peak: float, width: float, known: Noise | None) -> tuple[Noise, Speckle]:
-    """Read noise, gain, contrast and grain that explain mean products of residuals (LAGS, pixels)."""
+def _solve_noise(products: Array, found: Leftover, known: Noise | None, most: float) -> tuple[Noise, Speckle]:
+    """Read noise, gain, contrast and grain that explain mean products of residuals (LAGS, pixels); 1 / gain is at ``most`` that."""
     n = products.shape[1]
-    valid = np.arange(n)[None, :] + np.arange(LAGS)[:, None] < n
+    seen = np.pad(found.seen, (0, LAGS))
+    valid = np.stack([found.seen & seen[d : d + n] for d in range(LAGS)])
     guess = known or Noise(30.0, 1.2)
     best = (math.inf, guess, Speckle(0.0, 1.0))
     for grain in GRAINS:
-        _, constant, linear, square = _expected(peak, width, grain, guess)
+        _, constant, linear, square = _expected(found, grain, guess)
         total = np.maximum(products[0], 1e-3)
         for _ in range(3):
             weight = 1.0 / np.sqrt(total[None, :] * np.stack([np.roll(total, -d) for d in range(LAGS)]))
@@ -312,12 +388,15 @@ def _solve_noise(products: Array, peak: float, width: float, known: Noise | None
                 target = target - (known.read_noise**2 + 1 / 12) * constant[use] - linear[use] / known.gain_e
             design = np.stack(columns, axis=1) * weight[use][:, None]
             answer = _nonnegative(design, target * weight[use])
-            found = np.array([known.read_noise**2 + 1 / 12, 1 / known.gain_e, answer[0]]) if known else answer
-            total = np.maximum(found[0] * constant[0] + found[1] * linear[0] + found[2] * square[0], 1e-3)
+            if not known and answer[1] > most:
+                rest = target * weight[use] - most * design[:, 1]
+                answer = np.insert(_nonnegative(design[:, [0, 2]], rest), 1, most)
+            terms = np.array([known.read_noise**2 + 1 / 12, 1 / known.gain_e, answer[0]]) if known else answer
+            total = np.maximum(terms[0] * constant[0] + terms[1] * linear[0] + terms[2] * square[0], 1e-3)
         misfit = float(np.sum((design @ answer - target * weight[use]) ** 2))
         if misfit < best[0]:
-            noise = known or Noise(float(1.0 / max(found[1], 1e-4)), math.sqrt(max(found[0] - 1 / 12, 0.04)))
-            best = (misfit, noise, Speckle(math.sqrt(max(found[2], 0.0)), grain))
+            noise = known or Noise(float(1.0 / max(terms[1], 1e-4)), math.sqrt(max(terms[0] - 1 / 12, 0.04)))
+            best = (misfit, noise, Speckle(math.sqrt(max(terms[2], 0.0)), grain))
     return best[1], best[2]
 
 

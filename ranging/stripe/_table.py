@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
 from numpy.typing import NDArray
+
+from calibration.compiled import compiled
 
 # Number of lines, pixels of a line, steps in memory to the next line and to the next pixel: one compilation serves
 # stripes along rows and along columns.
 Layout: TypeAlias = tuple[int, int, int, int]
+
+_NONE = np.empty(0, np.bool_)
 
 
 class Lines(NamedTuple):
@@ -18,6 +23,15 @@ class Lines(NamedTuple):
     dark: NDArray[Any]  # flat, likewise; empty where no laser-off image is subtracted
     layout: Layout
     saturation: float  # level from which a pixel is clipped
+    clipped: NDArray[np.bool_] = (
+        _NONE  # flat, pixels that hold clipped light although below that level; empty where none can
+    )
+
+
+@compiled
+def is_clipped(lines: Lines, at: int) -> bool:
+    """Whether the light of a pixel is at least what was recorded, rather than that."""
+    return bool(lines.pixels[at] >= lines.saturation or (lines.clipped.size > 0 and lines.clipped[at]))
 
 
 class CameraNoise(NamedTuple):

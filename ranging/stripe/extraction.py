@@ -11,9 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.geometry import Array, Codes
+from calibration.reason import Reason
 from ranging.background import Image, Noise, check_image, saturation_level, typical_noise
 from ranging.errors import RangingError
 from ranging.stripe import _table as t
+
+CLEAR = 0.1  # contrast of speckle that clipped stripes must show to be taken as speckled
+WANDERING = 0.4  # of the light in peaks that go on from line to line: where less does, the stripe may be a wide one
+COARSE = 8  # px of the blocks that are then looked at
+LONELY = 10  # lines from the next wide one, from where on a line is looked at pixel by pixel
+FINEST = 6.0  # px, one sigma: wider stripes are measured with pixels taken together
 
 Along = Literal["rows", "columns"]
 Method = Literal["auto", "centroid", "gaussian", "ridge"]
@@ -56,8 +63,10 @@ class StripeOptions:
     read_noise: float | None = None  # grey levels; None: estimated
     saturation: int | None = None  # grey level at which the camera clips; None: the end of the depth
     threshold: float | None = None  # least peak above the background, grey levels; None: six times the noise
-    minimum_width: float = 0.5  # px, one sigma
-    maximum_width: float = 6.0  # px, one sigma
+    minimum_width: float = 0.42  # px, one sigma
+    maximum_width: float = (
+        32.0  # px, one sigma; up to 6 a line is measured pixel by pixel, beyond with pixels taken together
+    )
     two_peaks: float = 0.8  # a second peak of this share of the strongest leaves the line without an answer
     edge: float = 0.15  # an asymmetry beyond this is a stripe cut by an edge
     narrowing: float = 0.94  # a line this much narrower than its stretch is usually is cut by an edge
@@ -73,18 +82,32 @@ def find_along(image: Image) -> Along:
     """Along which axis of the image the stripe runs.
 
     The peaks of all rows and of all columns are found. A stripe along the rows is crossed once by every column: the
-    peaks of neighbouring columns lie close together, those of neighbouring rows are noise or a long way apart.
+    peaks of neighbouring columns lie close together, those of neighbouring rows are noise or a long way apart. Where
+    peaks wander along either axis, as on a wide stripe, blocks of pixels are looked at instead.
     """
     check_image(image)
-    scores = {}
+    scores, shares = _going_on(image)
+    if max(shares.values()) < WANDERING and min(image.shape[:2]) >= 8 * COARSE:
+        rows, columns = (size // COARSE * COARSE for size in image.shape[:2])
+        blocks = image[:rows, :columns].reshape(rows // COARSE, COARSE, columns // COARSE, COARSE)
+        scores, _ = _going_on(np.ascontiguousarray(blocks.mean(axis=(1, 3)).astype(image.dtype)))
+    return "columns" if scores["columns"] > scores["rows"] else "rows"
+
+
+def _going_on(image: Image) -> tuple[dict[Along, float], dict[Along, float]]:
+    """How much light is in peaks that go on from line to line, along either axis, and what share of all peaks that is."""
+    scores: dict[Along, float] = {}
+    shares: dict[Along, float] = {}
     floor = float(np.median(image[::4, ::4]))
-    for along in ("columns", "rows"):
+    axes: tuple[Along, Along] = ("columns", "rows")
+    for along in axes:
         peaks = _peaks(image, image[:0], False, along, 12)
         place, value = peaks[0].astype(np.float64), peaks[1].astype(np.float64)
         weight = np.maximum(np.minimum(value[1:], value[:-1]) - floor, 0.0)
         step = np.abs(np.diff(place))
         scores[along] = float(np.sum(weight * np.maximum(0.0, 1.0 - step / 3.0)))
-    return "columns" if scores["columns"] > scores["rows"] else "rows"
+        shares[along] = scores[along] / max(float(weight.sum()), 1e-9)
+    return scores, shares
 
 
 def extract(
@@ -122,7 +145,8 @@ def extract(
     image = np.ascontiguousarray(image)
     has_dark = background is not None
     dark = np.ascontiguousarray(background) if background is not None else image[:0]
-    peaks = _peaks(image, dark, has_dark, along, int(np.ceil(2.5 * options.maximum_width)))
+    fine = replace(options, maximum_width=min(options.maximum_width, FINEST))
+    peaks = _peaks(image, dark, has_dark, along, math.ceil(2.5 * fine.maximum_width))
     rows, columns = image.shape
     view = t.Lines(
         pixels=image.ravel(),
@@ -130,21 +154,119 @@ def extract(
         layout=(rows, columns, columns, 1) if along == "columns" else (columns, rows, 1, columns),
         saturation=float(saturation_level(image.dtype) if options.saturation is None else options.saturation),
     )
-    measure = _METHODS[options.method]
-    noise = _known_noise(options)
-    guess = noise or typical_noise(view.saturation)
+    first = _first_look(view, peaks, fine, typical_noise(view.saturation))
+    if options.maximum_width > FINEST:
+        size = _size(first, fine)
+        if size > 1:
+            return _with_wide(along, first, fine, size, *_wide(along, view, size, options))
+    return _second_look(along, first, fine)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitted:
+    """Lines of one scale, each fitted for itself."""
+
+    lines: t.Lines
+    peaks: NDArray[np.int32]  # (3, N), see `_peaks`
+    table: Array  # (ROWS, N)
+    usual: Noise  # of a camera of which nothing better is known
+
+
+def _first_look(view: t.Lines, peaks: NDArray[np.int32], options: StripeOptions, usual: Noise) -> _Fitted:
+    guess = _known_noise(options) or usual
     if options.which != "strongest":
         peaks[0] = _choose(view, options.which, _threshold(options, guess))
         peaks[2] = 0  # the choice is made: other peaks do not matter
-    table = measure(view, peaks[0], guess)
-    contrast = 0.0
+    return _Fitted(view, peaks, _METHODS[options.method](view, peaks[0], guess), usual)
+
+
+def _second_look(along: Along, first: _Fitted, options: StripeOptions) -> Stripe:
+    """What the lines tell together: noise and speckle, and which of them have an answer."""
+    noise, contrast = _known_noise(options), 0.0
     if (
         noise is None
         or options.speckle == "on"
-        or (options.speckle == "auto" and _looks_speckled(table, _threshold(options, noise)))
+        or (options.speckle == "auto" and _looks_speckled(first.table, _threshold(options, noise)))
     ):
-        noise, contrast = _learn(view, peaks, table, noise, options)
-    return _stripe(along, table, peaks, noise, contrast, view, options)
+        noise, contrast = _learn(first, noise, options)
+    return _stripe(along, first.table, first.peaks, noise, contrast, first.lines, options)
+
+
+def _size(first: _Fitted, options: StripeOptions) -> int:
+    """How many pixels of this frame are taken together, since its stripe is wide: 1 where it is not."""
+    from ranging.stripe._scales import size_for
+
+    threshold = _threshold(options, _known_noise(options) or first.usual)
+    uneven = _looks_speckled(first.table, threshold)
+    return size_for(first.lines, first.peaks[0], first.table, threshold, uneven=uneven)
+
+
+def _wide(along: Along, view: t.Lines, size: int, options: StripeOptions) -> tuple[Stripe, Array]:
+    """The stripe with ``size`` px of each line taken together, in px and grey levels of the image as given.
+
+    Also (N,) px: how wide every line with light was before it was judged.
+    """
+    from ranging.stripe._scales import binned, to_middle
+
+    taken = binned(view, size)
+    noise = _known_noise(options)
+    scaled = None if noise is None else taken.noise(noise)
+    coarse = replace(
+        options,
+        gain_e=scaled.gain_e if scaled else None,
+        read_noise=scaled.read_noise if scaled else None,
+        threshold=None if options.threshold is None else options.threshold * taken.unit,
+        minimum_width=options.minimum_width / size,
+        maximum_width=options.maximum_width / size,
+    )
+    count, length = taken.lines.layout[:2]
+    together = taken.lines.pixels.reshape(count, length)
+    dark = taken.lines.dark.reshape(-1, length)
+    peaks = _peaks(together, dark, dark.size > 0, "columns", math.ceil(2.5 * FINEST))
+    to_middle(taken.lines, peaks[0])
+    usual = taken.noise(typical_noise(view.saturation))
+    first = _first_look(taken.lines, peaks, coarse, usual)
+    seen = first.table[t.WIDTH].copy()
+    found = _second_look(along, first, coarse)
+    seen[found.reason == Reason.NO_LIGHT] = np.nan
+    seen, width = (
+        np.sqrt(np.maximum((each * size) ** 2 - (size * size - 1) / 12.0, 0.0)) for each in (seen, found.width)
+    )
+    stripe = replace(
+        found,
+        position=(found.position + 0.5) * size - 0.5,
+        sigma=found.sigma * size,
+        width=width,
+        peak=found.peak / taken.unit,
+        floor=found.floor / taken.unit,
+        noise=noise or (None if found.noise is None else taken.noise_of_pixels(found.noise)),
+    )
+    return stripe, seen
+
+
+def _with_wide(along: Along, first: _Fitted, options: StripeOptions, size: int, wide: Stripe, seen: Array) -> Stripe:
+    """Join both scales: lines whose neighbourhood is narrow, or that are narrow themselves at both, are those of the fine one."""
+    from ranging.stripe._scales import UNEVEN
+    from ranging.stripe._speckle import running_median
+
+    good = np.flatnonzero(np.isfinite(seen))
+    if len(good) == 0 or not np.isfinite(wide.width).any():
+        return _second_look(along, first, options)
+    lines, least = np.arange(len(seen)), max(UNEVEN, 0.6 * size)
+    usual = np.interp(lines, good, running_median(seen[good]))
+    after = np.searchsorted(good, lines)
+    before = np.abs(lines - good[np.maximum(after - 1, 0)])
+    lost = np.minimum(before, np.abs(good[np.minimum(after, len(good) - 1)] - lines))
+    explained = np.isin(wide.reason, (Reason.TOO_WIDE, Reason.SATURATED, Reason.TWO_PEAKS, Reason.OUT_OF_VIEW))
+    narrow = (usual < least) | (wide.width < 0.7 * least) | ((lost > LONELY) & ~explained)
+    if not narrow.any():
+        return wide
+    fine = _second_look(along, first, options)
+    rows = {
+        name: np.where(narrow, getattr(fine, name), getattr(wide, name))
+        for name in ("position", "sigma", "width", "peak", "reason", "floor", "asymmetry")
+    }
+    return replace(wide, **rows, speckle=max(fine.speckle, wide.speckle))
 
 
 def estimate_noise(
@@ -189,17 +311,16 @@ def _looks_speckled(table: Array, threshold: float) -> bool:
     return bool(good >= 40 and max(misfits, rough) > 0.5 * good)
 
 
-def _learn(
-    view: t.Lines, peaks: NDArray[np.int32], table: Array, noise: Noise | None, options: StripeOptions
-) -> tuple[Noise, float]:
-    """Noise and speckle of this frame; ``table`` is improved by what they tell. Returns the noise and the contrast."""
-    from ranging.stripe import _speckle as stripe_speckle
+def _learn(first: _Fitted, noise: Noise | None, options: StripeOptions) -> tuple[Noise, float]:
+    """Noise and speckle of this frame; the table is improved by what they tell. Returns the noise and the contrast."""
+    from ranging.stripe import _speckle as speckles
 
-    guess = noise or typical_noise(view.saturation)
-    found = stripe_speckle.leftover(view, table)
+    view, peaks, table = first.lines, first.peaks, first.table
+    guess = noise or first.usual
+    found = speckles.leftover(view, table)
     if found is None:
         return guess, 0.0
-    learnt, speckle = stripe_speckle.analyse(found, noise)
+    learnt, speckle = speckles.analyse(found, noise, first.usual)
     learnt = Noise(
         options.gain_e or learnt.gain_e, learnt.read_noise if options.read_noise is None else options.read_noise
     )
@@ -207,18 +328,38 @@ def _learn(
         table[:] = _METHODS[options.method](view, peaks[0], learnt)
     if options.method in ("centroid", "ridge") or options.speckle == "off":
         return learnt, 0.0
-    contrast = stripe_speckle.local_contrast(found, learnt, speckle.grain, table.shape[1])
+    contrast = speckles.local_contrast(found, learnt, speckle.grain, table.shape[1])
+    if not found.seen.all() and np.median(contrast) < CLEAR:
+        table[:] = _METHODS[options.method](view, peaks[0], guess)
+        return guess, 0.0  # what the flanks alone show is as well their shape
     if options.speckle == "on":
         contrast = np.maximum(contrast, max(speckle.contrast, 0.05))
     if not contrast.any():
         return learnt, 0.0
-    before = table[t.SIGMA].copy()
-    widths = stripe_speckle.usual_widths(table)
-    stripe_speckle.refit_lines(view, _camera(learnt), contrast, speckle.grain, widths, table)
-    clipped = (table[t.CLIPPED] > 0) & (contrast > 0)  # these keep their fit, but are no better than their neighbours
-    if clipped.any():
-        others = (table[t.SIGMA] / before)[~clipped & (contrast > 0)]
-        table[t.SIGMA, clipped] *= np.nanmedian(others) if len(others) else 1.0
+    widths = speckles.usual_widths(table)
+    if (
+        np.median(contrast) == 0.0
+    ):  # here and there: clipped lines keep their fit, but are no better than their neighbours
+        before, clipped = table[t.SIGMA].copy(), (table[t.CLIPPED] > 0) & (contrast > 0)
+        grains = speckles.Grains(speckle.grain, 0.0)
+        speckles.refit_lines(view, _camera(learnt), np.where(clipped, 0.0, contrast), grains, widths, table)
+        if clipped.any():
+            others = (table[t.SIGMA] / before)[~clipped & (contrast > 0)]
+            table[t.SIGMA, clipped] *= np.nanmedian(others) if len(others) else 1.0
+    else:
+        speckles.refit_lines(
+            view, _camera(learnt), contrast, speckles.Grains(speckle.grain, speckles.HOLD), widths, table
+        )
+        found = speckles.leftover(view, table)  # again: these positions no longer weigh speckle as shot noise
+        if found is not None:
+            learnt, speckle = speckles.analyse(found, noise, first.usual)
+            if noise is None:
+                learnt = speckles.within_reason(learnt, first.usual)
+            again = speckles.local_contrast(found, learnt, speckle.grain, table.shape[1])
+            contrast = np.where(again > 0.0, again, contrast)
+            speckles.refit_lines(
+                view, _camera(learnt), contrast, speckles.Grains(speckle.grain, speckles.HOLD), widths, table
+            )
     table[t.MISFIT, contrast > 0] = 1.0  # sigma holds it now
     table[t.ASYMMETRY_SIGMA] += contrast * math.sqrt(speckle.grain)
     return learnt, float(np.median(contrast))
@@ -229,13 +370,24 @@ def _stripe(
     options: StripeOptions,
 ) -> Stripe:  # fmt: skip
     """Judge the lines of a table and hand over its answers."""
-    from ranging.stripe._judgement import Limits, compare, darken, judge, part_mixed, stretches
+    from ranging.stripe._judgement import (
+        OVEREXPOSED,
+        OVEREXPOSED_TOGETHER,
+        Limits,
+        compare,
+        darken,
+        judge,
+        part_mixed,
+        stretches,
+    )
 
     reason = np.empty(table.shape[1], np.uint8)
     threshold = _threshold(options, noise)
+    most = OVEREXPOSED if view.clipped.size == 0 else OVEREXPOSED_TOGETHER
     limits = Limits(
-        threshold, view.saturation, options.minimum_width, options.maximum_width, options.two_peaks, options.edge
-    )
+        threshold, view.saturation, most * view.saturation, options.minimum_width, options.maximum_width,
+        options.two_peaks, options.edge,
+    )  # fmt: skip
     judge(table, peaks, limits, reason)
     darken(view.pixels, view.dark, view.layout, peaks, threshold, reason)
     part_mixed(table, reason)

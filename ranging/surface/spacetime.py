@@ -138,7 +138,7 @@ def watch(other: Lines, lines: Ints, own: _Points, motion: tuple[Array, Array, A
     ray does not show. ``seen`` (3, n) receives the distance that the point has moved off the sheet, its light, and the
     variance of the light over that of a pixel.
     """
-    pixels, dark, (count, length, line_step, pixel_step), saturation = other
+    pixels, dark, (count, length, line_step, pixel_step), saturation, _ = other
     points, rays, moved, slide, sheet, position = own
     turn, here, there = motion
     taps = np.zeros(3)

@@ -65,6 +65,9 @@ def main() -> None:
         place = 60.0 + 0.1 * np.arange(200)[:, None]
         light = 120.0 * np.exp(-0.5 * ((np.arange(160) - place) / 2.0) ** 2)
         image = np.rint(light * np.random.default_rng(2).uniform(0.6, 1.4, light.shape) + 4).astype(kind)
+        wide = np.rint(120.0 * np.exp(-0.5 * ((np.arange(160) - place) / 12.0) ** 2) + 4).astype(kind)
+        extract(wide, along="columns")
+        extract(wide, along="columns", background=np.zeros_like(wide))
         for method in ("gaussian", "centroid", "ridge"):
             extract(image, along="columns", options=StripeOptions(method=method, speckle="on"))
             extract(

@@ -19,7 +19,7 @@ _REMEDIES = {  # by the reason that most lines have
     "saturated": "expose shorter, or close the iris",
     "two_peaks": "keep reflections away, or choose one of several peaks with --which",
     "uncertain": "give a larger --max-sigma, or expose longer",
-    "too_wide": "focus camera and laser: a stripe may be 6 px wide (one sigma)",
+    "too_wide": "focus camera and laser: a stripe may be 32 px wide (one sigma)",
 }
 
 

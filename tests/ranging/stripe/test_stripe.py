@@ -174,9 +174,8 @@ def test_every_line_without_an_answer_says_why():
     )
     light[5 * rows : 6 * rows] = profile(np.full(rows, LENGTH / 2.0), 3.0, 4000.0, LENGTH)
     light[6 * rows : 7 * rows, 25:] = 0.0
-    stripe = extract(
-        camera(light, rng), along="columns", options=StripeOptions(gain_e=GAIN, read_noise=READ, speckle="off")
-    )
+    options = StripeOptions(gain_e=GAIN, read_noise=READ, speckle="off", maximum_width=6.0)
+    stripe = extract(camera(light, rng), along="columns", options=options)
     expected = [
         Reason.NO_LIGHT, Reason.OUT_OF_VIEW, Reason.TOO_WIDE, Reason.TOO_NARROW, Reason.TWO_PEAKS, Reason.SATURATED,
         Reason.EDGE, Reason.RANGED,
@@ -349,5 +348,6 @@ def test_a_fit_that_ran_away_is_left_alone(place: float) -> None:
     table[stripe_table.STATE] = stripe_table.GOOD
     table[stripe_table.POSITION] = place
     lines = stripe_table.Lines(image.ravel(), image.ravel()[:0], (8, 64, 64, 1), 255.0)
-    stripe_speckle.refit_lines(lines, stripe_table.CameraNoise(35.0, 1.5), np.full(8, 0.3), 1.0, np.ones(8), table)
+    grains = stripe_speckle.Grains(1.0, 25.0)
+    stripe_speckle.refit_lines(lines, stripe_table.CameraNoise(35.0, 1.5), np.full(8, 0.3), grains, np.ones(8), table)
     assert np.array_equal(table[stripe_table.POSITION], np.full(8, place), equal_nan=True)
