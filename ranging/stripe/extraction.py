@@ -258,7 +258,7 @@ def _with_wide(along: Along, first: _Fitted, options: StripeOptions, size: int, 
     before = np.abs(lines - good[np.maximum(after - 1, 0)])
     lost = np.minimum(before, np.abs(good[np.minimum(after, len(good) - 1)] - lines))
     explained = np.isin(wide.reason, (Reason.TOO_WIDE, Reason.SATURATED, Reason.TWO_PEAKS, Reason.OUT_OF_VIEW))
-    narrow = (usual < least) | (wide.width < 0.7 * least) | ((lost > LONELY) & ~explained)
+    narrow = ((usual < least) | (wide.width < 0.7 * least) | (lost > LONELY)) & ~explained
     if not narrow.any():
         return wide
     fine = _second_look(along, first, options)
