@@ -15,7 +15,7 @@ app = typer.Typer(
     name="scope",
     help="A laser-stripe 3-D scanner that is calibrated in place and proves its own calibration.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
 )
 
