@@ -1,0 +1,74 @@
+"""`scope merge`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, say, user_errors
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command()(merge)
+
+
+def merge(
+    clouds: Annotated[list[Path], typer.Argument(help="Two scans or more of one object.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The whole, in the frame of the first (or of the poses).")],
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            "--poses", help='"same": all are in one frame already; or a JSON file with a 4x4 whole_from_cloud for each.'
+        ),
+    ] = None,
+    refine: Annotated[bool, typer.Option("--refine", help="Adjust known poses to the overlaps.")] = False,
+    tolerance: Annotated[
+        float | None, typer.Option("--tolerance", help="How far apart overlaps may be, mm (median of a pair).")
+    ] = None,
+    deviation: Annotated[
+        Path | None, typer.Option("--map", help="PLY of all points with their distance from the other scans.")
+    ] = None,
+    report: Report = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Join scans in one frame, by known poses or by their shapes, and tell how far they disagree where they overlap."""
+    from calibration.atomic import require_folder, write_text
+    from calibration.geometry import Pose
+    from scope.cloud import ScanCloud, require_format
+    from scope.merge import merge as join
+    from scope.merge import merge_result, merge_text, read_poses, write_map
+    from scope.report import merge_page
+
+    if tolerance is not None and not tolerance > 0:
+        raise typer.BadParameter(f"--tolerance {tolerance:g} must be positive, mm")
+    if len(clouds) < 2:
+        raise typer.BadParameter("one cloud is whole already; name two or more")
+    if refine and poses is None:
+        raise typer.BadParameter("--refine adjusts known poses; give --poses")
+    with user_errors():
+        require_folder(out, report, deviation)
+        require_format(out)
+        known = None
+        if poses is not None:
+            known = [Pose.identity()] * len(clouds) if poses == "same" else read_poses(Path(poses), len(clouds))
+        scans = [ScanCloud.load(path) for path in clouds]
+        names = [path.stem for path in clouds]
+        if len(set(names)) < len(names):
+            names = [f"{path.parent.name}/{path.stem}" if names.count(path.stem) > 1 else path.stem for path in clouds]
+        found = join(scans, names, poses=known, refine=refine, tolerance=tolerance)
+        if found.cloud is not None:
+            found.cloud.save(out)
+            say(f"wrote {out}", quiet=quiet)
+            if deviation is not None:
+                write_map(deviation, found)
+                say(f"wrote {deviation}", quiet=quiet)
+        if report is not None:
+            write_text(report, merge_page(found))
+            say(f"wrote {report}", quiet=quiet)
+    emit(merge_result(found), as_json=as_json, text=merge_text(found))
+    if not found.passed:
+        raise typer.Exit(EXIT_NOT_TO_BE_USED)
