@@ -7,7 +7,21 @@ from typing import Annotated
 
 import typer
 
-from cli import batch, calibrate, cameras, certificate, design, locate, measure, merge, robot, scan, target, view
+from cli import (
+    batch,
+    calibrate,
+    cameras,
+    certificate,
+    design,
+    inspection,
+    locate,
+    measure,
+    merge,
+    robot,
+    scan,
+    target,
+    view,
+)
 from cli.console import libraries_silenced
 from scope.version import __version__
 
@@ -35,7 +49,21 @@ def root(
     """Lengths are mm, angles degrees, pixels (u, v) = (column, row) from the centre of the first pixel."""
 
 
-for _commands in (calibrate, scan, measure, locate, robot, merge, view, target, design, cameras, batch, certificate):
+for _commands in (
+    calibrate,
+    scan,
+    measure,
+    locate,
+    robot,
+    merge,
+    inspection,
+    view,
+    target,
+    design,
+    cameras,
+    batch,
+    certificate,
+):
     _commands.register(app)
 
 

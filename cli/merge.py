@@ -1,4 +1,4 @@
-"""`scope merge`."""
+"""`scope merge` and `scope mesh`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, say, use
 def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
     app.command()(merge)
+    app.command()(mesh)
 
 
 def merge(
@@ -72,3 +73,23 @@ def merge(
     emit(merge_result(found), as_json=as_json, text=merge_text(found))
     if not found.passed:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
+
+
+def mesh(
+    cloud: Annotated[Path, typer.Argument(help="Point cloud: PLY, PCD, XYZ, LAS or E57.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Mesh: .stl, .ply or .obj, mm.")] = Path("part.stl"),
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a mesh of a cloud: closed where it was seen all around, open where not; how far it lies from the points is told."""
+    from calibration.atomic import require_folder
+    from scope.cloud import ScanCloud
+    from scope.merge import mesh_result, mesh_text, reconstruct, require_mesh_format, save_mesh
+
+    with user_errors():
+        require_folder(out)
+        require_mesh_format(out)
+        found = reconstruct(ScanCloud.load(cloud), cloud.name)
+        save_mesh(out, found)
+        say(f"wrote {out}", quiet=quiet)
+    emit(mesh_result(found), as_json=as_json, text=mesh_text(found))

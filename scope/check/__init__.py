@@ -6,7 +6,7 @@ Out: errors of size and form with their uncertainty, within tolerance or not; of
 Read: artefact, shapes, wording, budget, certificate.
 """
 
-from scope.check.artefact import Artefact, ArtefactCheck, check_artefact, check_repeats
+from scope.check.artefact import Artefact, ArtefactCheck, check_artefact, check_repeats, rays_of, shared_of
 from scope.check.budget import Budget, uncertainty_budget
 from scope.check.certificate import Certificate, certify
 from scope.check.wording import check_result, check_text, out_of_tolerance, repeat_result
@@ -22,6 +22,8 @@ __all__ = [
     "check_result",
     "check_text",
     "out_of_tolerance",
+    "rays_of",
     "repeat_result",
+    "shared_of",
     "uncertainty_budget",
 ]

@@ -177,7 +177,7 @@ def check_repeats(
     return Repeatability(checks, tuple(float(x) for x in values.std(axis=0, ddof=1)))
 
 
-def _rays(cloud: ScanCloud) -> tuple[Array | None, Array | None]:
+def rays_of(cloud: ScanCloud) -> tuple[Array | None, Array | None]:
     """Camera (N, 3) mm and unit sighting ray (N, 3) of each point; None where the cloud does not tell."""
     camera, _ = viewpoints(cloud, np.arange(len(cloud)))
     if camera is None:
@@ -186,7 +186,7 @@ def _rays(cloud: ScanCloud) -> tuple[Array | None, Array | None]:
     return camera, ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
-def _shared(cloud: ScanCloud, camera: Array | None) -> Array:
+def shared_of(cloud: ScanCloud, camera: Array | None) -> Array:
     """How far errors of the calibration move each point along its ray (N, K) mm; all alike where the sheet is not known."""
     sigma_cal = np.nan_to_num(cloud.sigma_cal).astype(np.float64)
     if camera is None or cloud.sensors is None:
@@ -202,8 +202,8 @@ def _shared(cloud: ScanCloud, camera: Array | None) -> Array:
 
 def _fitted(cloud: ScanCloud, known: Artefact) -> Shape:
     points = cloud.points
-    camera, ray = _rays(cloud)
-    shared, sigma = _shared(cloud, camera), np.nan_to_num(cloud.sigma).astype(np.float64)
+    camera, ray = rays_of(cloud)
+    shared, sigma = shared_of(cloud, camera), np.nan_to_num(cloud.sigma).astype(np.float64)
     if known.kind == "plane":
         plane = largest_plane(points, 0.5, np.random.default_rng(0))
         if plane is None:
@@ -311,7 +311,7 @@ def _linearity(nominal: Array, measured: Array, span: float) -> float:
 def _steps(cloud: ScanCloud, known: Artefact, tolerance: float | None, span: float) -> ArtefactCheck:
     """Heights above the base, between parallel planes."""
     points = cloud.points
-    camera, ray = _rays(cloud)
+    camera, ray = rays_of(cloud)
     towards = np.array([0.0, 0.0, -1.0]) if camera is None else camera.mean(axis=0) - points.mean(axis=0)
     spacing = _spacing(points)
     at = thin(points, 2 * spacing)
@@ -326,7 +326,7 @@ def _steps(cloud: ScanCloud, known: Artefact, tolerance: float | None, span: flo
         np.random.default_rng(0),
         sigma=cloud.sigma.astype(np.float64),
     )
-    shared = _shared(cloud, camera)
+    shared = shared_of(cloud, camera)
     along = np.ones(len(points)) if ray is None else ray @ found.normal
     bent = along * np.nan_to_num(cloud.sigma) * (1.0 - np.abs(along))
     levels = range(len(known.heights) + 1)

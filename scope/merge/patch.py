@@ -43,7 +43,7 @@ class Patch:
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
 
 
-def prepared(cloud: ScanCloud, name: str) -> Patch:
+def prepared(cloud: ScanCloud, name: str, *, most: int = _FULL) -> Patch:
     """Normals from the nearest neighbours (total least squares), towards the sensor where the cloud knows it.
 
     Without sensors the normals are made to agree along the surface and turned outwards from the middle.
@@ -59,7 +59,7 @@ def prepared(cloud: ScanCloud, name: str) -> Patch:
         raise MeasurementError(
             f"{name}: {len(cloud)} points; a scan of {LEAST} or more is needed to be put against others"
         )
-    rows = np.arange(len(cloud)) if len(cloud) <= _FULL else np.linspace(0, len(cloud) - 1, _FULL).astype(np.int64)
+    rows = np.arange(len(cloud)) if len(cloud) <= most else np.linspace(0, len(cloud) - 1, most).astype(np.int64)
     points = cloud.points[rows]
     tree = cKDTree(points)
     away, index = tree.query(points, k=_NEIGHBOURS, workers=1)

@@ -2,7 +2,7 @@
 
 In: a calibration, a scan, roughness, a pose, a check, a cloud.
 Out: one HTML file each, and the tables that the terminal prints.
-Read: page, pictures, freehand, calibration, scan, roughness, pose, check, certificate, hand_eye, merge, view.
+Read: page, pictures, freehand, calibration, scan, roughness, pose, check, certificate, hand_eye, merge, inspection, view.
 """
 
 from scope.report.calibration import (
@@ -15,6 +15,7 @@ from scope.report.calibration import (
 from scope.report.certificate import certificate_page
 from scope.report.check import check_page
 from scope.report.hand_eye import hand_eye_page
+from scope.report.inspection import inspection_page
 from scope.report.merge import merge_page
 from scope.report.page import Page
 from scope.report.pictures import grey_blocks, with_marks, with_stripe
@@ -24,6 +25,7 @@ from scope.report.scan import add_views, scan_page, scan_result, scan_text
 from scope.report.view import view_page
 
 __all__ = [
+    "inspection_page",
     "merge_page",
     "Page",
     "add_views",

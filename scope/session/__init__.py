@@ -44,7 +44,7 @@ from scope.session.in_memory import CalibrationSession, PlaneView, plan_of
 from scope.session.robot_section import PoseLog, read_pose_log
 from scope.session.target_section import Plate, read_target, target_in
 from scope.session.templates import TEMPLATES, write_template
-from scope.session.toml_file import MM
+from scope.session.toml_file import MM, Positive, Section, Units, Vector, read_toml
 
 __all__ = [
     "AHEAD",
@@ -68,6 +68,10 @@ __all__ = [
     "PlanePlan",
     "PlaneView",
     "Plate",
+    "Positive",
+    "Section",
+    "Units",
+    "Vector",
     "PoseLog",
     "SENSOR",
     "Source",
@@ -92,6 +96,7 @@ __all__ = [
     "read_image",
     "read_pose_log",
     "read_target",
+    "read_toml",
     "shape_text",
     "target_in",
     "write_template",

@@ -1,0 +1,49 @@
+"""An inspection on a page: the decision, every feature with its uncertainty, and the part coloured by its deviation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scope.inspection import Inspection
+from scope.report.page import Page
+
+_LEVELS = {"pass": "good", "fail": "bad", "undecided": "warn"}
+
+
+def inspection_page(found: Inspection) -> str:
+    """The page of --report."""
+    page = Page(f"Inspection: {found.pose.model.name}")
+    page.verdict(_LEVELS[found.decision], f"{found.decision}: {found.why}")  # type: ignore[arg-type]
+    values = [*found.features, *((found.surface,) if found.surface is not None else ())]
+    if values:
+        page.heading("Features")
+        page.table(
+            ["feature", "what", "nominal", "measured", "off", "U (k = 2)", "unit", "tolerance", "decision", "points"],
+            [
+                [v.name, v.kind, f"{v.nominal:.4f}", f"{v.measured:.4f}", f"{v.deviation:+.4f}", f"{v.uncertainty:.4f}", v.unit,
+                 "-" if v.tolerance is None else f"{v.tolerance:g}", v.decision or "-", f"{v.points}"]
+                if not v.reason
+                else [v.name, v.kind, "-", "-", "-", "-", v.unit, "-" if v.tolerance is None else f"{v.tolerance:g}",
+                      f"not measured: {v.reason}", "-"]
+                for v in values
+            ],
+        )  # fmt: skip
+        page.text(
+            "Decision rule: ISO 14253-1. Pass where the value stays within its tolerance by more than its expanded uncertainty U, "
+            "fail where it is beyond by more than U, undecided between. The surface is judged by the patch that lies furthest off."
+        )
+    if found.pose.cloud_from_model is not None:
+        off = found.deviation
+        local = found.pose.cloud_from_model.inverse.apply(found.cloud.points[found.pose.points])
+        limit = found.tolerance or float(np.percentile(np.abs(off), 98))
+        page.heading("Deviation from the model")
+        page.cloud(
+            local,
+            np.clip(off, -1.5 * limit, 1.5 * limit),
+            "mm, outside positive, in the frame of the model",
+            limit=80_000,
+        )
+        edges = np.linspace(-2 * limit, 2 * limit, 81)
+        count, _ = np.histogram(np.clip(off, edges[0], edges[-1]), bins=edges)
+        page.plot([("", 0.5 * (edges[1:] + edges[:-1]), count)], "Points by deviation", x_label="mm", y_label="points")
+    return page.html()
