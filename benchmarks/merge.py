@@ -37,7 +37,7 @@ def scene(seed: int):
         about, up = turn + k * np.pi / 2 + rng.normal(0, 0.15), np.deg2rad(rng.uniform(35, 60))
         view = [np.cos(about) * np.cos(up), np.sin(about) * np.cos(up), np.sin(up)]
         away.append(Pose(Rotation.random(random_state=1000 * seed + k).as_matrix(), rng.normal(0, 100, 3)))
-        scans.append(moved(scan(mesh, view, rng, cells=110, half=half), away[-1]))
+        scans.append(moved(scan(mesh, view, rng, cells=200, half=half), away[-1]))
     return mesh, scans, away
 
 
