@@ -55,6 +55,7 @@ class DesignResult:
             "volume_mm": {axis: [float(points[:, k].min()), float(points[:, k].max())] for k, axis in enumerate("xyz")},
             "planes": [_plane(plane, self.rig) for plane in self.planes],
             "expected": self.expected,
+            "sheet_in_focus": _sheet_in_focus(self.rig),
             "troubles": self.troubles,
             "passed": not self.troubles,
         }
@@ -133,6 +134,14 @@ def _place(rig: VirtualRig, planned: PlannedCalibration, surface: Surface, at: A
         "clipped": bool(seen.clipped[0]),
         "triangulation_deg": float(np.degrees(found.angle[0])),
     }
+
+
+def _sheet_in_focus(rig: VirtualRig) -> dict[str, Any] | None:
+    """Focus and tilt of the sensor that would put the sheet of light in focus (Scheimpflug); None without a lens."""
+    if rig.lens is None:
+        return None
+    found = rig.lens.in_focus(rig.laser.normal, float(rig.laser.normal @ rig.laser.origin))
+    return None if found is None else {"focus_mm": found[0], "tilt_deg": [float(a) for a in np.degrees(found[1])]}
 
 
 def spread(values: Array) -> dict[str, float]:

@@ -73,7 +73,7 @@ def look(rig: VirtualRig, points: Array, surface: Array, *, albedo: float, dark_
     cosine = np.clip(-np.einsum("ij,ij->i", reached.direction, surface), 0.0, None)
     seen = np.clip(-np.einsum("ij,ij->i", rays.direction, surface), 0.0, None) > 0.0
     bent = _bend(rig, pixels, points, surface, axis)
-    light = rig.level * albedo * cosine * np.where(seen, 1.0, 0.0)
+    light = rig.level * rig.laser.strength_at(points) * albedo * cosine * np.where(seen, 1.0, 0.0)
     signal = light * width / stripe
     # lens alone, for the profile that the pixel integrates
     optical = np.sqrt(np.maximum(stripe**2 - PIXEL, 1e-6))
@@ -134,7 +134,7 @@ def position_sigma(rig: VirtualRig, amplitude: Array, width: Array, dark_images:
         lit = mean + sensor.black + design.camera.ambient < sensor.white
         variance = mean / sensor.gain_e + flat
         weight = np.where(lit, 1.0 / variance, 0.0)
-        if design.laser.speckle:
+        if rig.speckle[0]:
             total += _under_speckle(rig, mean, slope, weight, pixel)
         else:
             total += np.nansum(weight * slope**2, axis=1)
@@ -147,7 +147,7 @@ def _under_speckle(rig: VirtualRig, mean: Array, slope: Array, weight: Array, pi
 
     A scale of the whole profile is fitted, too, so that what the slowest speckle does to it is no loss.
     """
-    grain = max(rig.design.laser.grain, 1e-3)
+    grain = max(rig.speckle[1], 1e-3)
     lag = pixel[:, None] - pixel[None, :]
     rho = np.exp(-4.0 * np.log(2.0) * (lag / grain) ** 2)
     informed = np.zeros(len(mean))
@@ -157,7 +157,7 @@ def _under_speckle(rig: VirtualRig, mean: Array, slope: Array, weight: Array, pi
             continue
         noise = (
             np.diag(1.0 / weight[n, use])
-            + rig.design.laser.speckle**2 * np.outer(mean[n, use], mean[n, use]) * (rho[np.ix_(use, use)])
+            + rig.speckle[0] ** 2 * np.outer(mean[n, use], mean[n, use]) * (rho[np.ix_(use, use)])
         )
         informed[n] = slope[n, use] @ np.linalg.solve(noise, slope[n, use])
     return informed

@@ -11,6 +11,7 @@ from scope.simulation import VirtualRig
 LEAST_ANGLE = 5.0  # degrees between sighting rays and sheet
 LEAST_SPOT = 5.0  # px
 _BLURRED = 4.0  # px, one sigma: a stripe or an edge that wide is out of focus
+_THIN = 0.7  # px, one sigma
 _DIM = 12.0  # grey levels of 8 bits
 
 
@@ -38,6 +39,12 @@ def troubles(rig: VirtualRig, planes: list[PlannedPlane], area: WorkingMap) -> l
         said.append(
             f"the lens is out of focus by {worst:.1f} px (one sigma) at z = {place[2]:.0f} mm; focus on the middle of the volume, "
             "or close the aperture"
+        )
+    thin = float(np.median(seen.stripe_px[inside]))
+    if thin < _THIN:
+        said.append(
+            f"the stripe is {thin:.2f} px wide (one sigma); {_THIN:g} at least are wanted, since where in a pixel it lies would "
+            "shift it: a wider laser line, or a longer lens"
         )
     clipped = float(np.mean(seen.clipped[inside]))
     if clipped > 0.01:

@@ -30,6 +30,12 @@ def design_text(result: dict[str, Any]) -> str:
     lines.append("expected standard uncertainties, k = 1 (scatter, calibration):")
     for name, part in expected_rows(result["expected"]):
         lines.append(f"  {name:30}{part}")
+    if result["sheet_in_focus"] is not None:
+        tilt = result["sheet_in_focus"]["tilt_deg"]
+        lines.append(
+            f"the sheet is in focus with focus = {result['sheet_in_focus']['focus_mm']:.0f} mm and the sensor's tilt = "
+            f"[{tilt[0]:.2f}, {tilt[1]:.2f}] degrees"
+        )
     if "at" in result:
         place = result["at"]
         lines.append(

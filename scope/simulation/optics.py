@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 
 from calibration.geometry import Array, Rays
+from scope.simulation.physics import Beam
 
 _STEPS = 30  # Newton steps at most; four to six are usual
 
@@ -181,8 +182,8 @@ def exact_rays(camera: ExactCamera, pixels: Array) -> Rays:
 class ExactLaser:
     """A fan of laser light in one plane before the window; its sheet is slightly curved beyond it.
 
-    Across the sheet the light is Gaussian, ``width`` mm wide at every range (a collimated cross-section), and along the
-    fan it is even: the fall-off of a real fan with range and angle is left out, since it moves no stripe.
+    Across the sheet the light is Gaussian, ``width`` mm wide at every range (a collimated cross-section) unless a ``beam``
+    says how it widens, and along the fan it is even: fall-off with the angle is left out, since it moves no stripe.
     """
 
     origin: Array  # (3,) mm, in C
@@ -192,6 +193,7 @@ class ExactLaser:
     width: float  # mm, one sigma
     half_fan: float  # rad
     window: Window | None = None
+    beam: Beam | None = None  # without one, the light is as wide and as strong everywhere
 
     @classmethod
     def aimed(
@@ -203,6 +205,7 @@ class ExactLaser:
         roll: float = 0.0,
         half_fan: float = np.pi / 6,
         window: Window | None = None,
+        beam: Beam | None = None,
     ) -> ExactLaser:
         """Laser whose axis leaves ``origin`` towards ``through`` (mm, C; before the window bends it).
 
@@ -219,7 +222,9 @@ class ExactLaser:
             along = np.cross(axis, [1.0, 0.0, 0.0])
         along = along / np.linalg.norm(along)
         along = np.cos(roll) * along + np.sin(roll) * np.cross(axis, along)
-        return cls(np.asarray(origin, dtype=np.float64), axis, along, np.cross(axis, along), width, half_fan, window)
+        return cls(
+            np.asarray(origin, dtype=np.float64), axis, along, np.cross(axis, along), width, half_fan, window, beam
+        )
 
     def rays(self, angle: Array, offset: Array | float = 0.0) -> Rays:
         """Rays beyond the window at angles (N,) rad from the axis, displaced by ``offset`` mm across the sheet."""
@@ -240,8 +245,16 @@ class ExactLaser:
         return rays, np.asarray(np.linalg.norm(points - rays.origin, axis=1) * (direction @ self.normal))
 
     def width_at(self, points: Array) -> Array:
-        """Width (N,) mm of the light across the sheet at points (N, 3), one sigma: the same everywhere."""
-        return np.full(len(points), self.width)
+        """Width (N,) mm of the light across the sheet at points (N, 3), one sigma."""
+        if self.beam is None:
+            return np.full(len(points), self.width)
+        return self.beam.width(np.linalg.norm(points - self.origin, axis=1))
+
+    def strength_at(self, points: Array) -> Array:
+        """Light (N,) in the middle of the sheet at points (N, 3), of one."""
+        if self.beam is None:
+            return np.ones(len(points))
+        return self.beam.strength(np.linalg.norm(points - self.origin, axis=1))
 
     def sheet_normal(self, points: Array) -> Array:
         """Unit normals (N, 3) of the sheet at points (N, 3): the gradient of the distance, by central differences."""

@@ -7,6 +7,7 @@ Phi((x + 1/2) / s) - Phi((x - 1/2) / s), s the blur; both renderers use that ans
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -18,6 +19,8 @@ from calibration.geometry import Array, Bools, Ints, Pose, Rays
 from scope.simulation.optics import ExactCamera, ExactLaser, exact_rays, project
 from scope.simulation.solids import Scene
 
+Blur = float | Callable[[Array], Array]  # px, one sigma; or of points (N, 3) in C
+_FINER = 1.12  # between blurs that are rendered where it varies; in between, two share the light
 _REACH = 4.5  # standard deviations of light or blur, beyond which there is none
 # where a cell beside an edge is sampled: no two samples share a row or a column, so that upright edges fall between all
 _ROOKS = (np.stack([np.arange(16), 7 * np.arange(16) % 16], axis=1) + 0.5) / 16
@@ -81,8 +84,8 @@ def disk_centroids(camera: ExactCamera, pose: Pose, centres: Array, radii: Array
     return np.asarray(middle[:, 0] + moment / area[:, None])
 
 
-def _disks(camera: ExactCamera, pose: Pose, centres: Array, radii: Array, blur: float) -> Array:
-    """Image of the part of each pixel that disks cover, exact for disks that do not overlap.
+def _disks(camera: ExactCamera, pose: Pose, centres: Array, radii: Array, blurs: Array) -> Array:
+    """Image of the part of each pixel that disks cover, each with its blur (N,), exact for disks that do not overlap.
 
     The double integral of the pixel's answer over a disk is turned into one around its contour by Green's theorem; the
     trapezoid rule on a smooth periodic integrand converges exponentially.
@@ -92,8 +95,8 @@ def _disks(camera: ExactCamera, pose: Pose, centres: Array, radii: Array, blur: 
     if len(centres) == 0:
         return image
     extent = np.nan_to_num(np.ptp(contours(camera, pose, centres, radii, 16)[0], axis=1).max(axis=1))
-    pad = int(np.ceil(_REACH * blur + 1.0))
-    points = int(2 ** np.ceil(np.log2(max(32.0, 1.2 * np.pi * extent.max() / blur))))
+    pad = int(np.ceil(_REACH * float(blurs.max()) + 1.0))
+    points = int(2 ** np.ceil(np.log2(max(32.0, 1.2 * np.pi * extent.max() / float(blurs.min())))))
     outline, slope = contours(camera, pose, centres, radii, points)
     low, high = outline.min(axis=1) - pad, outline.max(axis=1) + pad
     seen = np.flatnonzero(
@@ -105,6 +108,7 @@ def _disks(camera: ExactCamera, pose: Pose, centres: Array, radii: Array, blur: 
         if len(batch) == 0:
             continue
         first = np.floor(low[batch]).astype(np.int64)
+        blur = blurs[batch, None, None]
         x = (outline[batch, :, :1] - (first[:, None, :1] + borders)) / blur
         y = (outline[batch, :, 1:] - (first[:, None, 1:] + borders)) / blur
         across = -np.diff(blur * (x * ndtr(x) + np.exp(-0.5 * x * x) / np.sqrt(2.0 * np.pi)), axis=-1)
@@ -118,7 +122,7 @@ def _disks(camera: ExactCamera, pose: Pose, centres: Array, radii: Array, blur: 
     return image
 
 
-def render_target(camera: ExactCamera, pose: Pose, look: TargetLook, *, blur_px: float) -> Array:
+def render_target(camera: ExactCamera, pose: Pose, look: TargetLook, *, blur_px: Blur) -> Array:
     """Image (rows, columns) of a spot target, grey levels above black, without noise.
 
     Parameters
@@ -128,21 +132,23 @@ def render_target(camera: ExactCamera, pose: Pose, look: TargetLook, *, blur_px:
     look : TargetLook
         Marks, their sizes and brightness. Specks of dirt hide what lies under them; where they cut a spot, the cut is
         exact to first order in the blur only (coverages are multiplied).
-    blur_px : float
-        Sigma of the lens, px, at least 0.2.
+    blur_px : float or callable
+        Sigma of the lens, px, at least 0.2; or of points in C, each mark having that of its middle.
 
     Raises
     ------
     ValueError
         For a smaller blur, with which contour integrals would not converge.
     """
-    _check_blur(blur_px)
     present = look.radii > 0.0
-    spots = _disks(camera, pose, look.marks[present], look.radii[present], blur_px)
+    blurs = _blurs(blur_px, pose.apply(look.marks[present]))
+    spots = _disks(camera, pose, look.marks[present], look.radii[present], blurs)
     image = look.ground + (look.spot - look.ground) * spots
     if len(look.dirt):
         specks = look.dirt * [1.0, 1.0, 0.0]
-        image = image * (1.0 - np.minimum(_disks(camera, pose, specks, look.dirt[:, 2], blur_px), 1.0))
+        image = image * (
+            1.0 - np.minimum(_disks(camera, pose, specks, look.dirt[:, 2], _blurs(blur_px, pose.apply(specks))), 1.0)
+        )
     if look.uneven:
         columns, rows = camera.size
         v, u = np.ogrid[0:rows, 0:columns]
@@ -151,8 +157,8 @@ def render_target(camera: ExactCamera, pose: Pose, look: TargetLook, *, blur_px:
     return np.asarray(image)
 
 
-def _radiance(camera: ExactCamera, laser: ExactLaser, scene: Scene, pixels: Array) -> tuple[Array, Ints, Array]:
-    """Laser light (N,) seen at points of the image (N, 2), of one; and, to find edges, the part lit and its normal."""
+def _radiance(camera: ExactCamera, laser: ExactLaser, scene: Scene, pixels: Array) -> tuple[Array, Ints, Array, Array]:
+    """Laser light (N,) seen at points of the image (N, 2), of one; and, to find edges, the part lit, its normal, its place."""
     hits = scene.cast(exact_rays(camera, pixels))
     light = np.zeros(len(pixels))
     part = hits.part.copy()
@@ -160,13 +166,14 @@ def _radiance(camera: ExactCamera, laser: ExactLaser, scene: Scene, pixels: Arra
     rays, offset = laser.reach(hits.points[rows])
     cosine = -np.einsum("ij,ij->i", rays.direction, hits.normal[rows])
     angle = np.arctan2(rays.direction @ laser.along, rays.direction @ laser.axis)
-    bright = (np.abs(offset) < _REACH * laser.width) & (cosine > 0.0) & (np.abs(angle) < laser.half_fan)
-    rows, offset, cosine = rows[bright], offset[bright], cosine[bright]
+    width = laser.width_at(hits.points[rows])
+    bright = (np.abs(offset) < _REACH * width) & (cosine > 0.0) & (np.abs(angle) < laser.half_fan)
+    rows, offset, cosine, width = rows[bright], offset[bright], cosine[bright], width[bright]
     reached = scene.lit(Rays(rays.origin[bright], rays.direction[bright]), hits.points[rows])
-    value = np.exp(-0.5 * (offset / laser.width) ** 2) * cosine * hits.albedo[rows]
+    value = np.exp(-0.5 * (offset / width) ** 2) * cosine * hits.albedo[rows] * laser.strength_at(hits.points[rows])
     light[rows] = np.where(reached, value, 0.0)
     part[rows[~reached]] = -2
-    return light, part, hits.normal
+    return light, part, hits.normal, hits.points
 
 
 def _lit_pixels(camera: ExactCamera, laser: ExactLaser, scene: Scene, pad: int) -> Bools:
@@ -175,7 +182,7 @@ def _lit_pixels(camera: ExactCamera, laser: ExactLaser, scene: Scene, pad: int) 
     shape = (rows + 2 * pad, columns + 2 * pad)
     count = int(3.0 * laser.half_fan * max(camera.focal))
     angle = np.linspace(-laser.half_fan, laser.half_fan, count)
-    across = np.linspace(-_REACH, _REACH, 11) * laser.width
+    across = np.linspace(-_REACH, _REACH, 11) * _widest(laser, scene, angle)
     angles, offsets = (grid.ravel() for grid in np.meshgrid(angle, across, indexing="ij"))
     points = scene.cast(laser.rays(angles, offsets)).points
     pixels = project(camera, points).reshape(count, len(across), 2) + pad
@@ -195,14 +202,24 @@ def _lit_pixels(camera: ExactCamera, laser: ExactLaser, scene: Scene, pad: int) 
     return np.asarray(cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
 
 
+def _widest(laser: ExactLaser, scene: Scene, angle: Array) -> float:
+    """Largest width, mm, of the light where it meets the scene."""
+    if laser.beam is None:
+        return laser.width
+    points = scene.cast(laser.rays(angle)).points
+    points = points[np.isfinite(points).all(axis=1)]
+    return float(np.max(laser.width_at(points), initial=laser.beam.waist))
+
+
 def _samples(camera: ExactCamera, laser: ExactLaser, depth: float, blur: float) -> int:
     """Cells a pixel and axis with which the lattice's aliasing stays under 1e-5 of the stripe's light."""
-    stripe = max(laser.width * min(camera.focal) / depth, 1e-3)
+    narrow = laser.width if laser.beam is None else laser.beam.waist
+    stripe = max(narrow * min(camera.focal) / depth, 1e-3)
     together = 1.0 / np.sqrt(1.0 / stripe**2 + 1.0 / blur**2)
     return int(np.clip(np.ceil(0.763 / together), 2, 8))
 
 
-def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_px: float) -> Array:
+def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_px: Blur) -> Array:
     """Image (rows, columns) of a laser stripe on a scene in C, without noise.
 
     One is the radiance of a surface of albedo one that faces the laser, in the middle of its sheet, before any blur.
@@ -210,13 +227,13 @@ def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_
 
     Light is sampled on a lattice over the pixels that the sheet reaches and nowhere else, at the middle of each cell;
     cells beside edges of parts, creases and shadows are sampled sixteen times, and their light is put in
-    their middle: there pixels err by up to 2 % of the peak, elsewhere by less than 0.1 %. ``ValueError`` for a blur
-    under 0.2 px.
+    their middle: there pixels err by up to 2 % of the peak, elsewhere by less than 0.1 %. ``blur_px`` may be a function
+    of the points (N, 3) that are seen. ``ValueError`` for a blur under 0.2 px.
     """
-    _check_blur(blur_px)
     columns, rows = camera.size
     image = np.zeros((rows, columns))
-    pad = int(np.ceil(_REACH * blur_px + 1.0))
+    least, most = _range_of(blur_px, laser, scene)
+    pad = int(np.ceil(_REACH * most + 1.0))
     mask = _lit_pixels(camera, laser, scene, pad)
     if not mask.any():
         return image
@@ -225,11 +242,11 @@ def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_
     mask = mask[top:bottom, left:right]
     v0, u0 = top - pad, left - pad  # the pixel of the mask's first row and column
     far = _depth(camera, scene, mask, u0, v0)
-    m = _samples(camera, laser, far, blur_px)
+    m = _samples(camera, laser, far, least)
     cells = np.repeat(np.repeat(mask, m, axis=0), m, axis=1)
     j, i = np.nonzero(cells)
     centre = np.stack([u0 + (i + 0.5) / m - 0.5, v0 + (j + 0.5) / m - 0.5], axis=1)
-    values, part, normal = _radiance(camera, laser, scene, centre)
+    values, part, normal, seen = _radiance(camera, laser, scene, centre)
     lattice = np.zeros(cells.shape)
     edge = _edges(cells.shape, j, i, part, normal, values)
     lattice[j[~edge], i[~edge]] = values[~edge]
@@ -237,13 +254,61 @@ def render_stripe(camera: ExactCamera, laser: ExactLaser, scene: Scene, *, blur_
         fine = centre[edge][:, None, :] + (_ROOKS - 0.5) / m
         light = _radiance(camera, laser, scene, fine.reshape(-1, 2))[0].reshape(-1, len(_ROOKS))
         lattice[j[edge], i[edge]] = light.mean(axis=1)
-    found = _integrate(lattice, m, pad, blur_px)  # starts pad pixels before the mask
+    if callable(blur_px):
+        blurs = np.zeros(cells.shape)
+        lit = lattice[j, i] > 0.0
+        blurs[j[lit], i[lit]] = _blurs(blur_px, seen[lit])
+        found = _varying(lattice, blurs, (least, most), m, pad)
+    else:
+        found = _integrate(lattice, m, pad, blur_px)  # starts pad pixels before the mask
     v1, u1 = v0 - pad, u0 - pad
     t, s = max(v1, 0), max(u1, 0)
     b, r = min(v1 + found.shape[0], rows), min(u1 + found.shape[1], columns)
     if b > t and r > s:
         image[t:b, s:r] = found[t - v1 : b - v1, s - u1 : r - u1]
     return image
+
+
+def _blurs(blur: Blur, points: Array) -> Array:
+    """Blur (N,) px at points (N, 3); ``ValueError`` under 0.2 px."""
+    found = np.asarray(blur(points)) if callable(blur) else np.full(len(points), float(blur))
+    if len(found):
+        _check_blur(float(np.nanmin(found)))
+    return np.where(np.isfinite(found), found, 0.2)
+
+
+def _range_of(blur: Blur, laser: ExactLaser, scene: Scene) -> tuple[float, float]:
+    """Least and largest blur, px, where the sheet meets the scene."""
+    if not callable(blur):
+        _check_blur(blur)
+        return blur, blur
+    angle = np.linspace(-laser.half_fan, laser.half_fan, 2001)
+    points = scene.cast(laser.rays(angle)).points
+    found = _blurs(blur, points[np.isfinite(points).all(axis=1)])
+    if not len(found):
+        return 0.2, 0.2
+    return max(0.2, float(found.min()) / _FINER), float(found.max()) * _FINER
+
+
+def _varying(lattice: Array, blurs: Array, limits: tuple[float, float], m: int, pad: int) -> Array:
+    """Pixels from light on a lattice whose cells have blurs of their own.
+
+    Each cell's light is shared between the two nearest of a row of blurs, so that the mixture has the cell's variance.
+    """
+    least, most = limits
+    count = max(2, int(np.ceil(np.log(most / least) / np.log(_FINER))) + 1)
+    steps = np.geomspace(least, most, count)
+    lit = lattice > 0.0
+    square = np.clip(blurs, least, most) ** 2
+    total: Array | None = None
+    low = np.clip(np.searchsorted(steps**2, square, side="right") - 1, 0, count - 2)
+    share = (square - steps[low] ** 2) / (steps[low + 1] ** 2 - steps[low] ** 2)
+    for k, step in enumerate(steps):
+        part = np.where(lit & (low == k), 1.0 - share, 0.0) + np.where(lit & (low == k - 1), share, 0.0)
+        if part.any():
+            image = _integrate(lattice * part, m, pad, float(step))
+            total = image if total is None else total + image
+    return _integrate(lattice, m, pad, least) if total is None else total
 
 
 def _depth(camera: ExactCamera, scene: Scene, mask: Bools, u0: int, v0: int) -> float:

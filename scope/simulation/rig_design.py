@@ -45,6 +45,51 @@ class CameraDesign:
     ambient: Level = 0.0  # grey levels above black in every image that shows the laser
     bits: Literal[8, 10, 12, 16] = 8
     colour: bool = False  # three channels: a red laser, white back-light
+    # in place of the above, as data sheets give them; blur_px is then that of the lens itself
+    pixel_um: Annotated[float, Field(gt=0, le=100)] | None = None
+    focal_mm: Annotated[float, Field(gt=0, le=5000)] | None = None
+    f_number: Annotated[float, Field(ge=0.5, le=128)] | None = None
+    focus: Positive | None = None  # mm along z to what is sharp on the axis
+    tilt: tuple[Tilt, Tilt] = (0.0, 0.0)  # degrees of the sensor about x, then y
+    full_well_e: Positive | None = None  # electrons at white: gives gain_e
+    read_noise_e: Annotated[float, Field(ge=0, le=1e4)] | None = None  # electrons: gives read_noise
+    exposure_us: Positive | None = None
+    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] | None = None
+
+    @model_validator(mode="after")
+    def _optics(self) -> CameraDesign:
+        needed = ("pixel_um", "focal_mm", "focus")
+        optical = self.f_number is not None or self.tilt != (0.0, 0.0)
+        missing = [key for key in (*needed, "f_number") if getattr(self, key) is None]
+        if optical and missing:
+            raise ValueError(f"{missing[0]} is missing; f_number and tilt need pixel_um, focal_mm, focus and f_number")
+        if self.focus is not None and self.focal_mm is not None and self.focus <= 1.001 * self.focal_mm:
+            raise ValueError(
+                f"a lens of {self.focal_mm:g} mm cannot focus at {self.focus:g} mm; set focus beyond its focal length"
+            )
+        # the electrons of a data sheet take the place of grey levels
+        if self.full_well_e is not None:
+            object.__setattr__(self, "gain_e", self.full_well_e / (2**self.bits - 1))
+        if self.read_noise_e is not None:
+            object.__setattr__(self, "read_noise", self.read_noise_e / self.gain_e)
+        return self
+
+
+def _focal_px(camera: dict[str, Any]) -> float | None:
+    """Focal length in px from ``focal_mm`` and ``pixel_um``; None where they are no numbers.
+
+    A lens that is focused nearer than infinity stands farther from the sensor than its focal length.
+    """
+
+    def number(key: str) -> float | None:
+        value = camera.get(key)
+        return float(value) if isinstance(value, int | float) and not isinstance(value, bool) and value > 0 else None
+
+    focal, pixel, focus = number("focal_mm"), number("pixel_um"), number("focus")
+    if focal is None or pixel is None:
+        return None
+    away = focal if focus is None or focus <= focal else focal * focus / (focus - focal)
+    return away / pixel * 1000.0
 
 
 @dataclass(frozen=True, slots=True, config=_STRICT)
@@ -70,13 +115,28 @@ class LaserDesign:
         None  # grey levels on white that faces it, before blur; 3/4 of white
     )
     fan: Annotated[float, Field(gt=0, le=150)] = 60.0  # degrees, full
-    speckle: Annotated[float, Field(ge=0, le=1)] = 0.0  # contrast after a pixel's integration
-    grain: Annotated[float, Field(ge=0, le=50)] = 1.0  # px, of the speckle
+    # contrast after a pixel's integration, and px of its grain; "aperture": both from wavelength, aperture and pixel
+    speckle: Annotated[float, Field(ge=0, le=1)] | Literal["aperture"] = 0.0
+    grain: Annotated[float, Field(ge=0, le=50)] = 1.0
+    # a Gaussian beam in place of `width`, and its light in place of `peak`
+    wavelength_nm: Annotated[float, Field(ge=200, le=2000)] | None = None
+    waist: Annotated[float, Field(gt=0, le=20)] | None = None  # mm, one sigma where the sheet is thinnest
+    waist_at: Positive | None = None  # mm from the laser to there
+    divergence: Annotated[float, Field(ge=0, le=200)] | None = None  # mrad, one sigma; by diffraction where not given
+    power_mw: Annotated[float, Field(gt=0, le=1e5)] | None = None
 
     @model_validator(mode="after")
     def _aimed(self) -> LaserDesign:
         if self.origin == self.through:
             raise ValueError("origin and through are one point; a laser is aimed at another point")
+        if (self.waist is None) != (self.waist_at is None):
+            raise ValueError("waist and waist_at come together: how thin the sheet is, and how far from the laser")
+        if self.divergence is not None and self.waist is None:
+            raise ValueError("divergence needs waist and waist_at")
+        if self.waist is not None and self.divergence is None and self.wavelength_nm is None:
+            raise ValueError("wavelength_nm or divergence is missing; a waist widens by one of them")
+        if self.power_mw is not None and self.peak is not None:
+            raise ValueError("power_mw and peak both say how bright the stripe is; give one")
         return self
 
 
@@ -310,9 +370,22 @@ class RigDesign:
                 raise ValueError(f"a fault names plane {fault.plane!r}; the planes are {list(self.jig.names)}")
             if any(row >= self.jig.rows or column >= self.jig.columns for row, column in fault.missing):
                 raise ValueError(f"a missing spot of plane {fault.plane!r} lies outside the grid")
+        self._check_light()
         if bool(self.objects) != (self.motion is not None):
             raise ValueError("[object] and [motion] come together: a scan needs both, a mere calibration neither")
         return self
+
+    def _check_light(self) -> None:
+        """What power and speckle need of the other table."""
+        c, beam = self.camera, self.laser
+        if beam.power_mw is not None:
+            missing = [k for k in ("f_number", "exposure_us", "quantum_efficiency") if getattr(c, k) is None]
+            if missing or beam.wavelength_nm is None:
+                key = f"camera.{missing[0]}" if missing else "laser.wavelength_nm"
+                raise ValueError(f"{key} is missing; laser.power_mw needs it to become grey levels")
+        if beam.speckle == "aperture" and (c.f_number is None or beam.wavelength_nm is None):
+            key = "camera.f_number" if c.f_number is None else "laser.wavelength_nm"
+            raise ValueError(f"{key} is missing; laser.speckle = 'aperture' follows from it")
 
 
 _TABLES: dict[str, type[Any]] = {
@@ -340,6 +413,9 @@ def read_design(path: str | Path) -> RigDesign:
     for key in ("object", "fault"):  # one table, or an array of them
         if isinstance(data.get(key), dict):
             data[key] = [data[key]]
+    camera = data.get("camera")
+    if isinstance(camera, dict) and "focal_px" not in camera and (focal := _focal_px(camera)) is not None:
+        camera["focal_px"] = focal
     for item in data.get("object", []) if isinstance(data.get("object"), list) else []:
         if isinstance(item, dict) and isinstance(item.get("mesh"), str):
             item["mesh"] = str(path.parent / item["mesh"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -67,11 +68,13 @@ def true_stripe(
     along: Along,
     sensor: Sensor,
     level: float,
+    blur: Callable[[Array], Array] | None = None,
 ) -> TrueStripe:
     """Trace the middle of the sheet over a scene in C and find where it crosses each line of the image.
 
     Rays of laser light are traced finely; between neighbours on one smooth piece of surface, each crossing of a line
-    is solved to 1e-9 px. ``level`` is the grey level of light one.
+    is solved to 1e-9 px. ``level`` is the grey level of light one; ``blur`` gives that of the lens (px) at points, where it
+    varies.
     """
     axis = 0 if along == "rows" else 1  # the whole coordinate: the line
     lines = camera.size[axis]
@@ -104,9 +107,9 @@ def true_stripe(
     hits = scene.cast(rays)
     pixels = project(camera, hits.points)
     good = hits.found & _seen(camera, scene, hits, pixels) & (np.abs(pixels[:, axis] - line) < 1e-6)
-    cosine = -np.einsum("ij,ij->i", rays.direction, hits.normal) * hits.albedo
+    cosine = -np.einsum("ij,ij->i", rays.direction, hits.normal) * hits.albedo * laser.strength_at(hits.points)
     lit = _Lit(line[good], pixels[good], hits.points[good], hits.normal[good], cosine[good])
-    return _strongest(camera, laser, along, sensor, level, lit)
+    return _strongest(camera, laser, along, sensor, level, lit, blur)
 
 
 def _seen(camera: ExactCamera, scene: Scene, hits: Hits, pixels: Array) -> np.typing.NDArray[np.bool_]:
@@ -133,8 +136,9 @@ class _Lit:
 
 
 def _strongest(
-    camera: ExactCamera, laser: ExactLaser, along: Along, sensor: Sensor, level: float, lit: _Lit
-) -> TrueStripe:
+    camera: ExactCamera, laser: ExactLaser, along: Along, sensor: Sensor, level: float, lit: _Lit,
+    blur: Callable[[Array], Array] | None,
+) -> TrueStripe:  # fmt: skip
     axis = 0 if along == "rows" else 1
     line, peak = lit.line, lit.peak
     lines = camera.size[axis]
@@ -148,8 +152,9 @@ def _strongest(
     # how far, per pixel across the line, the surface leaves the sheet, and the sheet moves along the ray
     leaving = laser.reach(_on_plane(after, points, normal))[1] - laser.reach(_on_plane(before, points, normal))[1]
     leaving = np.where(np.isfinite(leaving), leaving, np.inf)  # a surface that the ray grazes
-    width_px = np.hypot(laser.width / np.maximum(np.abs(leaving) / 0.5, 1e-12), sensor.blur_px)
-    amplitude = level * peak * np.sqrt(np.maximum(width_px**2 - sensor.blur_px**2, 0.0)) / width_px
+    lens = np.full(len(points), sensor.blur_px) if blur is None else blur(points)
+    width_px = np.hypot(laser.width_at(points) / np.maximum(np.abs(leaving) / 0.5, 1e-12), lens)
+    amplitude = level * peak * np.sqrt(np.maximum(width_px**2 - lens**2, 0.0)) / width_px
     sheet = laser.sheet_normal(points)
     moved = _on_plane(after, points, sheet) - _on_plane(before, points, sheet)
     along_ray = np.abs(np.einsum("ij,ij->i", moved, exact_rays(camera, pixels).direction)) / 0.5

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from calibration.errors import FileError
 from calibration.geometry import Array, Pose
 from scope.simulation.optics import ExactCamera, ExactLaser, Window, exact_rays
+from scope.simulation.physics import Beam, Lens
 from scope.simulation.rendering import Sensor, TargetLook, expose, render_stripe, render_target, speckle
 from scope.simulation.rig_design import (
     BoxDesign,
@@ -39,6 +41,8 @@ class VirtualRig:
     laser: ExactLaser
     sensor: Sensor
     level: float  # grey level of light one
+    lens: Lens | None  # None: the same blur everywhere
+    speckle: tuple[float, float]  # contrast, and grain in px
     stated: tuple[Pose, ...]  # camera_from_target of each plane, as calibration.toml says
     actual: tuple[Pose, ...]  # and as it is, faults included
     scene: Scene  # in the cloud frame
@@ -61,14 +65,18 @@ class VirtualRig:
             roll=float(np.radians(beam.roll)),
             half_fan=float(np.radians(beam.fan / 2)),
             window=window,
+            beam=_beam(design),
         )
+        lens = _lens(design)
         stated = _stated_poses(design, camera)
         rig = cls(
             design=design,
             camera=camera,
             laser=laser,
             sensor=sensor,
-            level=beam.peak if beam.peak is not None else 0.75 * sensor.white,
+            level=_level(design, sensor, lens, laser.beam),
+            lens=lens,
+            speckle=_speckle(design, lens),
             stated=stated,
             actual=tuple(_faulty(design, name, pose) for name, pose in zip(design.jig.names, stated, strict=True)),
             scene=Scene(tuple(part for item in design.objects for part in _parts(item))),
@@ -121,8 +129,12 @@ class VirtualRig:
         return Pose(turn.rotation, point - turn.rotation @ point)
 
     def blur_at(self, points: Array) -> Array:
-        """Blur (N,) px of the lens for points (N, 3) in C, one sigma: the same everywhere."""
-        return np.full(len(points), self.sensor.blur_px)
+        """Blur (N,) px of the lens for points (N, 3) in C, one sigma."""
+        return np.full(len(points), self.sensor.blur_px) if self.lens is None else self.lens.blur(points)
+
+    @property
+    def _blur(self) -> float | Callable[[Array], Array]:
+        return self.sensor.blur_px if self.lens is None else self.lens.blur
 
     def look(self, plane: int, rng: np.random.Generator) -> TargetLook:
         """Marks and brightness of one plane's target, faults included."""
@@ -159,7 +171,9 @@ class VirtualRig:
 
     def truth_of(self, scene: Scene) -> TrueStripe:
         """The true stripe on a scene in C."""
-        return true_stripe(self.camera, self.laser, scene, along=self.along, sensor=self.sensor, level=self.level)
+        return true_stripe(
+            self.camera, self.laser, scene, along=self.along, sensor=self.sensor, level=self.level, blur=self.blur_at
+        )
 
     @property
     def along(self) -> Along:
@@ -168,14 +182,14 @@ class VirtualRig:
 
     def stripe_images(self, scene: Scene, count: int, rng: np.random.Generator) -> list[NDArray[Any]]:
         """Exposures of the stripe on one scene in C; speckle stays, noise does not."""
-        light = self.level * render_stripe(self.camera, self.laser, scene, blur_px=self.sensor.blur_px)
-        if self.design.laser.speckle:
-            light *= speckle((light.shape[0], light.shape[1]), self.design.laser.speckle, self.design.laser.grain, rng)
+        light = self.level * render_stripe(self.camera, self.laser, scene, blur_px=self._blur)
+        if self.speckle[0]:
+            light *= speckle((light.shape[0], light.shape[1]), *self.speckle, rng)
         return [self._expose(light, self.design.camera.ambient, rng) for _ in range(count)]
 
     def target_images(self, plane: int, count: int, rng: np.random.Generator) -> list[NDArray[Any]]:
         """Exposures of a plane's target."""
-        light = render_target(self.camera, self.actual[plane], self.look(plane, rng), blur_px=self.sensor.blur_px)
+        light = render_target(self.camera, self.actual[plane], self.look(plane, rng), blur_px=self._blur)
         return [self._expose(None, light, rng) for _ in range(count)]
 
     def stripe_light(self, scene: Scene) -> Array:
@@ -201,6 +215,47 @@ class VirtualRig:
         if not self.design.camera.colour:
             return expose(light + white, self.sensor, rng)
         return np.stack([expose(k * light + white, self.sensor, rng) for k in _RED], axis=-1)
+
+
+def _lens(design: RigDesign) -> Lens | None:
+    """The lens, where the design says enough of it for its blur to be known at every depth."""
+    c = design.camera
+    if c.f_number is None or c.focal_mm is None or c.focus is None or c.pixel_um is None:
+        return None
+    wavelength = (design.laser.wavelength_nm or 550.0) * 1e-6  # green, of the back-light, where no laser says other
+    tilt = (float(np.radians(c.tilt[0])), float(np.radians(c.tilt[1])))
+    return Lens(c.focal_mm, c.f_number, c.focus, c.pixel_um * 1e-3, wavelength, tilt, c.blur_px)
+
+
+def _beam(design: RigDesign) -> Beam | None:
+    """The beam, where width or light vary along it; its strength is one where the laser is aimed."""
+    laser = design.laser
+    if laser.waist is None and laser.power_mw is None:
+        return None
+    reference = float(np.linalg.norm(np.array(laser.through) - np.array(laser.origin)))
+    waist, at = laser.waist or laser.width, laser.waist_at or reference
+    if laser.divergence is not None or laser.waist is None:
+        beam = Beam(waist, at, (laser.divergence or 0.0) * 1e-3)
+    else:
+        beam = Beam.diffracted(waist, at, (laser.wavelength_nm or 0.0) * 1e-6)
+    return replace(beam, dims=laser.power_mw is not None, reference=reference)
+
+
+def _level(design: RigDesign, sensor: Sensor, lens: Lens | None, beam: Beam | None) -> float:
+    """Grey level of white that faces the laser where it is aimed."""
+    laser, camera = design.laser, design.camera
+    if laser.power_mw is None or lens is None or beam is None:
+        return laser.peak if laser.peak is not None else 0.75 * sensor.white
+    lit = beam.irradiance(laser.power_mw * 1e-3, beam.reference, float(np.radians(laser.fan)))
+    exposure, efficiency = (camera.exposure_us or 0.0) * 1e-6, camera.quantum_efficiency or 0.0
+    return lens.levels(lit, (laser.wavelength_nm or 0.0) * 1e-6, exposure, efficiency) / sensor.gain_e
+
+
+def _speckle(design: RigDesign, lens: Lens | None) -> tuple[float, float]:
+    laser = design.laser
+    if laser.speckle == "aperture":
+        return (0.0, 1.0) if lens is None else lens.speckle((laser.wavelength_nm or 0.0) * 1e-6)
+    return laser.speckle, laser.grain
 
 
 def _stated_poses(design: RigDesign, camera: ExactCamera) -> tuple[Pose, ...]:
