@@ -1,4 +1,4 @@
-"""Predicted rigs against rendered ones: ``python -m benchmarks.design [DESIGNS] [SEED]``.
+"""Predicted rigs against rendered ones: ``python -m benchmarks.design [DESIGNS] [SEED]``, ``... briefs``.
 
 Random designs (with and without window, square or leaning jig, small and large blur, speckle or none) are predicted by
 `scope.design` and, as the other witness, rendered, calibrated and ranged. Printed is predicted over found: the noise along the
@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +20,13 @@ import numpy as np
 from benchmarks.shared import head, row
 from calibration.geometry import Array, Pose
 from calibration.targets import SpotGrid
+from ranging.stripe import StripeOptions, extract
 from ranging.triangulation import triangulate
 from scope.calibrating import calibrate
-from scope.design import DesignResult, design_rig
+from scope.design import DesignResult, Wanted, design_rig, propose
 from scope.scanning import Scanner, scan
 from scope.session import CalibrationSession, PlaneView
-from scope.simulation import RigDesign, VirtualRig, simulate
+from scope.simulation import RigDesign, VirtualRig, read_design, simulate
 from scope.simulation.rig_design import (
     CameraDesign,
     JigDesign,
@@ -46,7 +47,7 @@ class Found:
     calibration: tuple[float, float]  # rms over the sheet, mm: predicted, found
 
 
-def random_design(rng: np.random.Generator, *, window: bool) -> RigDesign:
+def random_design(rng: np.random.Generator, *, window: bool, lens: bool = False) -> RigDesign:
     """A rig of the kind people build, of moderate size so that it renders in seconds."""
     focal = float(rng.uniform(700.0, 1100.0))
     near = float(rng.uniform(280.0, 380.0))
@@ -59,16 +60,26 @@ def random_design(rng: np.random.Generator, *, window: bool) -> RigDesign:
         else (-baseline, float(rng.uniform(-8, 8)), 6.0)
     )
     pitch = 0.9 * 640.0 / focal * near / 17.0
+    camera = CameraDesign(
+        (640, 480), focal, (float(rng.uniform(310, 330)), float(rng.uniform(230, 250))),
+        distortion=(float(rng.uniform(-0.2, 0.05)), 0.04, 3e-4, -3e-4, 0.0), gain_e=float(rng.uniform(10, 60)),
+        read_noise=float(rng.uniform(0.6, 2.0)), blur_px=float(rng.uniform(0.5, 1.3)),
+    )  # fmt: skip
+    laser = LaserDesign(
+        origin, (0.0, 0.0, middle), roll=float(rng.uniform(-3, 3)), width=float(rng.uniform(0.25, 0.5)),
+        peak=float(rng.uniform(110.0, 200.0)),
+    )  # fmt: skip
+    if lens:  # large pixels: blurs of some px at the ends of the volume
+        away = focal * 0.012
+        tilt = (float(rng.uniform(-5, 5)), 0.0) if rng.random() < 0.5 else (0.0, 0.0)
+        camera = replace(
+            camera, blur_px=0.5, pixel_um=12.0, focal_mm=1.0 / (1.0 / away + 1.0 / middle), focus=middle, tilt=tilt,
+            f_number=float(rng.uniform(1.4, 4.0)),
+        )  # fmt: skip
+        reach = float(np.linalg.norm([*origin[:2], middle]))
+        laser = replace(laser, waist=0.2, waist_at=reach, divergence=float(rng.uniform(1.0, 5.0)))
     return RigDesign(
-        camera=CameraDesign(
-            (640, 480), focal, (float(rng.uniform(310, 330)), float(rng.uniform(230, 250))),
-            distortion=(float(rng.uniform(-0.2, 0.05)), 0.04, 3e-4, -3e-4, 0.0), gain_e=float(rng.uniform(10, 60)),
-            read_noise=float(rng.uniform(0.6, 2.0)), blur_px=float(rng.uniform(0.5, 1.3)),
-        ),
-        laser=LaserDesign(
-            origin, (0.0, 0.0, middle), roll=float(rng.uniform(-3, 3)), width=float(rng.uniform(0.2, 0.5)),
-            peak=float(rng.uniform(110.0, 200.0)),
-        ),
+        camera=camera, laser=laser,
         jig=JigDesign(
             tuple(float(z) for z in np.round(np.linspace(near, near + depth, int(rng.integers(4, 6))), 1)), 13, 17, pitch, 0.42 * pitch,
             fiducials=((6, 8), (6, 10), (3, 8)), fiducial_diameter=0.63 * pitch,
@@ -166,18 +177,77 @@ def times() -> tuple[float, float]:
     return predicted, time.process_time() - begin
 
 
+def briefs() -> None:
+    """Ten briefs proposed, and the noise of rendered stripes all over the volume of each: scatter over wanted."""
+    base = read_design(Path(__file__).resolve().parents[1] / "examples" / "brief-design.toml")
+    head(
+        "wanted, mm",
+        "over, mm",
+        "lens, mm",
+        "stand-off, mm",
+        "angle",
+        "predicted, mm",
+        "rendered, mm",
+        "rendered over wanted",
+        "",
+    )
+    rng = np.random.default_rng(10)
+    sides = [(60, 40, 40), (100, 80, 60), (150, 80, 60), (200, 100, 80), (240, 100, 100), (80, 50, 100), (120, 60, 40), (300, 100, 120),
+             (50, 30, 20), (180, 90, 150)]  # fmt: skip
+    for k, side in enumerate(sides):
+        wanted = Wanted(float(np.round((0.006 + 0.004 * (k % 3)) * side[0] / 100, 4)), tuple(float(v) for v in side))
+        proposal = propose(base, wanted)
+        found = _rendered_noise(proposal.chosen.design, wanted.volume[0] / 2, rng)
+        told = "met" if proposal.met and found <= 1.1 * wanted.sigma else "**missed**"
+        if not proposal.met:
+            told = "said to be impossible"
+        c = proposal.chosen
+        row(
+            wanted.sigma,
+            "x".join(map(str, side)),
+            c.focal,
+            round(c.stand_off),
+            c.angle,
+            c.sigma,
+            found,
+            found / wanted.sigma,
+            told,
+        )
+
+
+def _rendered_noise(design: RigDesign, half: float, rng: np.random.Generator) -> float:
+    """Largest noise along the ray, mm, of rendered stripes at both ends of the volume, in pieces of 39 lines."""
+    rig = VirtualRig.of(design)
+    worst = 0.0
+    for depth in (min(design.jig.stand_offs), max(design.jig.stand_offs)):
+        scene = Scene((Part(Sheet(None), Pose(np.eye(3), np.array([0.0, 0.0, depth]))),))
+        truth = rig.truth_of(scene)
+        images = rig.stripe_images(scene, EXPOSURES, rng)
+        found = np.array([extract(image, along=rig.along, options=StripeOptions()).position for image in images])
+        mm = truth.sigma_mm / truth.sigma_px  # along the ray, a pixel across
+        lines = np.flatnonzero(np.isfinite(found).all(axis=0) & (np.abs(truth.points[:, 0]) <= half))
+        scatter = found[:, lines].var(axis=0, ddof=1) * mm[lines] ** 2
+        piece = 3 * LINES
+        whole = len(lines) // piece * piece
+        worst = max(worst, float(np.sqrt(scatter[:whole].reshape(-1, piece).mean(axis=1).max())))
+    return worst
+
+
 def main() -> None:
+    if sys.argv[1:] == ["briefs"]:
+        briefs()
+        return
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 30
     seed = int(sys.argv[2]) if len(sys.argv) > 2 else 14
     rng = np.random.default_rng(seed)
     noise, ratios = [], []
     for k in range(count):
-        design = random_design(rng, window=k % 2 == 1)
+        design = random_design(rng, window=k % 2 == 1, lens=k % 4 >= 2)
         found = judge(design, rng)
         noise.append(found.noise)
         ratios.append(found.calibration[0] / found.calibration[1])
         print(
-            f"# {k} {'window' if design.window else 'air'}: noise {np.round(np.percentile(found.noise, [0, 50, 100]), 3)}, "
+            f"# {k} {'window' if design.window else 'air'}{', lens' if k % 4 >= 2 else ''}: noise {np.round(np.percentile(found.noise, [0, 50, 100]), 3)}, "
             f"calibration {1e3 * found.calibration[0]:.2f} / {1e3 * found.calibration[1]:.2f} um",
             file=sys.stderr, flush=True,
         )  # fmt: skip

@@ -137,3 +137,12 @@ def progress(label: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]
             bar.update(task, completed=done, total=total or None, rate=f"{speed:.1f}/s" if speed else "")
 
         yield tick
+
+
+def write_init(path: Path, name: str, then: str, *, quiet: bool) -> None:
+    """Write a commented file to fill in, for ``--init``."""
+    from scope.session import write_commented
+
+    with user_errors():
+        write_commented(path, name)
+    say(f"wrote {path}: fill it in, then run: {then}", quiet=quiet)

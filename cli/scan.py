@@ -18,6 +18,7 @@ from cli.console import (
     say,
     say_unsealed,
     user_errors,
+    write_init,
 )
 
 Method = Literal["auto", "centroid", "gaussian", "ridge"]
@@ -32,7 +33,7 @@ def register(app: typer.Typer) -> None:
 
 
 def scan(
-    capture: Annotated[Path, typer.Argument(help="capture.toml")],
+    capture: Annotated[Path, typer.Argument(help="capture.toml")] = Path("capture.toml"),
     rig: Annotated[Path, typer.Option("--rig", "-r", help="Calibrated rig.")] = Path("rig.json"),
     out: Annotated[Path, typer.Option("--out", "-o", help="Point cloud, mm.")] = Path("cloud.ply"),
     method: Annotated[Method, typer.Option("--method", help="How the stripe is measured.")] = "auto",
@@ -64,11 +65,15 @@ def scan(
         bool, typer.Option("--allow-unverified", help="Exit 0 although the rig is not verified.")
     ] = False,
     allow_edited: AllowEdited = False,
+    init: Annotated[bool, typer.Option("--init", help="Write a commented capture.toml to fill in.")] = False,
     report: Report = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Range every stripe image of a capture and write one point cloud."""
+    if init:
+        write_init(capture, "capture.toml", f"scope scan {capture} --rig rig.json", quiet=quiet)
+        return
     from calibration.atomic import require_folder, write_text
     from calibration.rig import Rig
     from ranging.stripe import StripeOptions
@@ -106,8 +111,9 @@ def scan(
 
 
 def simulate(
-    design: Annotated[Path, typer.Argument(help="rig-design.toml")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the session.")],
+    design: Annotated[Path, typer.Argument(help="rig-design.toml")] = Path("rig-design.toml"),
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder of the session.")] = None,
+    init: Annotated[bool, typer.Option("--init", help="Write a commented rig-design.toml to fill in.")] = False,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and dirt.")] = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -115,6 +121,11 @@ def simulate(
     """Render a virtual rig: calibration.toml, capture.toml, images, and the truth."""
     from scope import simulate as simulate_rig
 
+    if init:
+        write_init(design, "rig-design.toml", f"scope simulate {design} -o DIR", quiet=quiet)
+        return
+    if out is None:
+        raise typer.BadParameter("name a folder for the session", param_hint="--out")
     with user_errors(), progress("rendering", quiet=quiet) as tick:
         result = simulate_rig(design, out, seed, on_image=tick).result
     sigma = result["expected_sigma_mm"]

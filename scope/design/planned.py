@@ -15,6 +15,7 @@ from scope.design.spots import PlannedPlane
 from scope.design.stripe import look
 from scope.simulation import VirtualRig, exact_rays, project
 
+TUKEY = 4.685  # as the sheet is fitted
 _DRAWS = 48  # calibrations that are drawn
 _LINES, _LINES_BENT = 80, 300  # points that stand for all lines of a stripe; of one whose bend must be told from noise
 
@@ -125,16 +126,18 @@ def _with_sheet(
     """Fit the sheet of every draw to the stripes on the planes."""
     points, names, noise, weight, off, sides = [], [], [], [], [], []
     for plane in shown:
-        pose = rig.stated[planes.index(plane)]
+        k = planes.index(plane)
+        pose, stated = rig.actual[k], rig.stated[k]  # where the light falls, and where it is believed to
         lit = stripe_on_plane(rig, plane, pose)
         if len(lit) < 2:
             continue
         seen = look(rig, lit, -np.sign(pose.rotation[2, 2]) * pose.rotation[:, 2], albedo=1.0, dark_images=rig.design.jig.laser_images * (rig.design.camera.ambient > 0))  # fmt: skip
         lines = max(float(np.ptp(seen.pixels[:, 0 if rig.along == "rows" else 1])), 1.0)
         moved = _ray_errors(field, wrong, seen.pixels, lit)
-        face = pose.rotation[:, 2]  # back onto the plane, along the ray
+        face = stated.rotation[:, 2]  # onto the stated plane, along the ray
         steep = np.einsum("ni,i->n", seen.view, face)
-        moved = moved - seen.view[:, :, None] * (np.einsum("i,nik->nk", face, moved) / steep[:, None])[:, None, :]
+        beyond = np.einsum("i,nik->nk", face, moved) + ((lit - stated.translation) @ face)[:, None]
+        moved = moved - seen.view[:, :, None] * (beyond / steep[:, None])[:, None, :]
         each = seen.sigma_px * np.abs(np.einsum("ni,ni->n", seen.normal, seen.view)) * seen.along_ray
         points.append(lit)
         names.append(plane.name)
@@ -155,8 +158,20 @@ def _with_sheet(
     height = base.distance(flat)[:, None] + side[:, None] * np.concatenate(off)
     drawn = spread[:, None] * rng.standard_normal((len(flat), _DRAWS))
     height[:, 1:] += drawn
-    sheet = np.linalg.lstsq(terms, height, rcond=None)[0]
+    root = np.sqrt(_robust(terms, height[:, 0], np.nan_to_num(np.concatenate(noise), posinf=1.0), rng))[:, None]
+    sheet = np.linalg.lstsq(terms * root, height * root, rcond=None)[0]
     return PlannedCalibration(rig, field, wrong, volume, base, frame, np.asarray(sheet), order)
+
+
+def _robust(terms: Array, height: Array, noise: Array, rng: np.random.Generator) -> Array:
+    """Tukey's weights (n,) that the fit of the sheet will end with: a misplaced plane's stripe is left out by it."""
+    weight, line = np.ones(len(height)), noise * rng.standard_normal(len(height))
+    for _ in range(20):
+        root = np.sqrt(weight)
+        off = height - terms @ np.linalg.lstsq(terms * root[:, None], height * root, rcond=None)[0]
+        scale = max(1.4826 * float(np.median(np.abs(off + line))), 1e-9)
+        weight = np.where(np.abs(off) < TUKEY * scale, (1.0 - (off / (TUKEY * scale)) ** 2) ** 2, 1e-9)
+    return np.asarray(weight)
 
 
 def _shape(

@@ -20,8 +20,8 @@ class PlannedPlane:
 
     name: str
     mark: Ints  # (n,) number of the spot
-    points: Array  # (n, 2) mm in the target's frame
-    world: Array  # (n, 3) mm in C
+    points: Array  # (n, 2) mm in the target's frame, as stated
+    world: Array  # (n, 3) mm in C, where they are
     pixels: Array  # (n, 2) px of their centres
     diameter: Array  # (n,) px, of the circle of equal area
     sigma: Array  # (n,) px, of one coordinate of a centre, all repeats together
@@ -36,7 +36,7 @@ def plan_planes(rig: VirtualRig) -> list[PlannedPlane]:
 def _plane(rig: VirtualRig, k: int) -> PlannedPlane:
     jig = rig.design.jig
     look = rig.look(k, np.random.default_rng(0))
-    pose = rig.stated[k]
+    pose = rig.actual[k]
     world = pose.apply(look.marks)
     pixels = project(rig.camera, world)
     scale = _scale(rig, pose.rotation, world)
@@ -47,8 +47,10 @@ def _plane(rig: VirtualRig, k: int) -> PlannedPlane:
     inside = (pixels > room[:, None]).all(axis=1) & (pixels < [columns - 1, rows - 1] - room[:, None]).all(axis=1)
     sigma = centre_sigma(rig, look.spot, look.ground, diameter / 2, blur) / np.sqrt(jig.images)
     use = np.flatnonzero(inside & (look.radii > 0))
+    column, row = np.meshgrid(np.arange(jig.columns), np.arange(jig.rows))
+    stated = np.stack([column * jig.pitches[0], row * jig.pitches[1]], axis=-1).reshape(-1, 2)
     return PlannedPlane(
-        jig.names[k], use, look.marks[use, :2], world[use], pixels[use], diameter[use], sigma[use],
+        jig.names[k], use, stated[use], world[use], pixels[use], diameter[use], sigma[use],
         blur[use] > 0.3 * diameter[use],
     )  # fmt: skip
 

@@ -10,8 +10,9 @@ from scope.simulation import VirtualRig
 
 LEAST_ANGLE = 5.0  # degrees between sighting rays and sheet
 LEAST_SPOT = 5.0  # px
+WIDEST = 32.0  # px, one sigma, of a stripe: what ranging takes for one
 _BLURRED = 4.0  # px, one sigma: a stripe or an edge that wide is out of focus
-_THIN = 0.7  # px, one sigma
+THINNEST = 0.7  # px, one sigma
 _DIM = 12.0  # grey levels of 8 bits
 
 
@@ -41,10 +42,16 @@ def troubles(rig: VirtualRig, planes: list[PlannedPlane], area: WorkingMap) -> l
             "or close the aperture"
         )
     thin = float(np.median(seen.stripe_px[inside]))
-    if thin < _THIN:
+    if thin < THINNEST:
         said.append(
-            f"the stripe is {thin:.2f} px wide (one sigma); {_THIN:g} at least are wanted, since where in a pixel it lies would "
+            f"the stripe is {thin:.2f} px wide (one sigma); {THINNEST:g} at least are wanted, since where in a pixel it lies would "
             "shift it: a wider laser line, or a longer lens"
+        )
+    wide = float(np.max(seen.stripe_px[inside]))
+    if wide > WIDEST:
+        said.append(
+            f"the stripe is up to {wide:.1f} px wide (one sigma), and ranging takes none above {WIDEST:g}: a thinner laser line, a "
+            "shorter lens, or a larger stand-off"
         )
     clipped = float(np.mean(seen.clipped[inside]))
     if clipped > 0.01:

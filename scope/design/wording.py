@@ -6,7 +6,7 @@ from typing import Any
 
 _ROWS = (
     ("noise along the ray, mm", "sigma_mm", "{:.4f}"),
-    ("calibration along the ray, mm", "sigma_cal_mm", "{:.4f}"),
+    ("calibration along the ray, mm", "sigma_cal_mm", "{:.5f}"),
     ("pixel along the stripe, mm", "lateral_mm", "{:.4f}"),
     ("pixel across: depth, mm", "depth_mm", "{:.3f}"),
     ("stripe, one sigma, px", "stripe_px", "{:.2f}"),
@@ -51,13 +51,44 @@ def expected_rows(expected: dict[str, Any]) -> list[tuple[str, str]]:
     """Name and uncertainty of each thing that may be measured."""
 
     def of(part: dict[str, float]) -> str:
-        return f"{part['sigma_mm']:.4f} mm ({part['scatter_mm']:.4f}, {part['calibration_mm']:.4f})"
+        return f"{part['sigma_mm']:.2g} mm ({part['scatter_mm']:.2g}, {part['calibration_mm']:.2g})"
 
     sphere, step, rough, pose = (expected[key] for key in ("sphere", "step", "Sq", "pose"))
-    floor = f"{rough['noise_floor_mm']:.4f} mm of noise to subtract, known to {rough['sigma_mm']:.5f} mm"
+    floor = f"{rough['noise_floor_mm']:.2g} mm of noise to subtract, known to {rough['sigma_mm']:.2g} mm"
     return [
         (f"sphere of {sphere['diameter_mm']:g} mm, diameter", of(sphere)),
         (f"step of {step['height_mm']:g} mm", of(step)),
         (f"Sq on {rough['patch_mm']:g} x {rough['patch_mm']:g} mm", floor),
-        (f"place of a cube of {pose['cube_mm']:g} mm", f"{of(pose)}, {pose['rotation_deg']:.4f} degrees"),
+        (f"place of a cube of {pose['cube_mm']:g} mm", f"{of(pose)}, {pose['rotation_deg']:.2g} degrees"),
     ]
+
+
+def proposal_text(proposal: dict[str, Any]) -> str:
+    """What a brief led to, and what each lens would cost."""
+    chosen = proposal["proposed"]
+    size = " x ".join(f"{side:g}" for side in proposal["volume_mm"])
+    lines = [
+        (
+            f"wanted: {proposal['sigma_mm']:g} mm over {size} mm: {'proposed' if proposal['met'] else 'NOT POSSIBLE, the nearest'}: lens "
+            f"{chosen['focal_mm']:g} mm, stand-off {chosen['stand_off_mm']:.0f} mm, baseline {chosen['baseline_mm']:.0f} mm "
+            f"({chosen['angle_deg']:g} degrees), noise {chosen['sigma_mm']:.4f} mm at most"
+        ),
+        f"{'lens, mm':>10}{'angle':>8}{'stand-off':>11}{'baseline':>10}{'noise, mm':>11}{'blur, px':>10}",
+    ]
+    for c in proposal["choices"]:
+        lines.append(
+            f"{c['focal_mm']:>10g}{c['angle_deg']:>8g}{c['stand_off_mm']:>11.0f}{c['baseline_mm']:>10.0f}{c['sigma_mm']:>11.4f}"
+            f"{c['blur_px']:>10.2f}"
+        )
+    return "\n".join(lines)
+
+
+def draws_text(drawn: dict[str, Any]) -> str:
+    """What tolerances do to each figure."""
+    lines = [
+        f"{drawn['draws']} rigs drawn: {drawn['failed']} cannot be calibrated, {drawn['troubled']} have something that will not work",
+        f"{'':32}{'5 %':>12}{'median':>12}{'95 %':>12}",
+    ]
+    for name, part in drawn["figures"].items():
+        lines.append(f"{name:32}{part['p5']:>12.4g}{part['p50']:>12.4g}{part['p95']:>12.4g}")
+    return "\n".join(lines)

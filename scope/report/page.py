@@ -102,6 +102,10 @@ class Page:
         """Add a line plot (or dots) of (name, x, y) series; NaN breaks a line; ``log`` makes both axes logarithmic."""
         self._figure(_plot_svg(series, x_label, y_label, points=points, log=log), caption)
 
+    def drawing(self, svg: str, caption: str) -> None:
+        """Add a picture that is drawn: an ``<svg>`` of the caller's own making, whose words he has escaped."""
+        self._figure(svg.replace("<svg ", '<svg style="max-width:100%;height:auto" ', 1), caption)
+
     def cloud(self, points: Array, values: ArrayLike, caption: str, *, limit: int = 150_000) -> None:
         """Add a point cloud (N, 3) mm coloured by values (N,), to be turned with the mouse (WebGL).
 

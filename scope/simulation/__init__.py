@@ -8,13 +8,14 @@ Read: rig_design, virtual_rig, physics, optics, solids, rendering, stripe_truth,
 
 from scope.simulation.optics import exact_rays, project
 from scope.simulation.rendering import expose, render_stripe, render_target
-from scope.simulation.rig_design import RigDesign, read_any_design, read_design
+from scope.simulation.rig_design import FaultDesign, RigDesign, read_any_design, read_design
 from scope.simulation.session import Simulation, simulate
 from scope.simulation.virtual_rig import VirtualRig
 from scope.simulation.wild import WildScene, draw_wild, write_wild
 from scope.simulation.wild_design import WildDesign
 
 __all__ = [
+    "FaultDesign",
     "RigDesign",
     "Simulation",
     "VirtualRig",

@@ -203,6 +203,27 @@ class FaultDesign:
     dirt: Annotated[int, Field(ge=0, le=10000)] = 0  # specks, half a spot to a spot wide, anywhere on the grid
 
 
+Spread: TypeAlias = Annotated[float, Field(ge=0, le=100)]
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT, kw_only=True)
+class ToleranceDesign:
+    """What mounting and making leave open, one standard deviation each; `scope design --draws` varies it."""
+
+    laser_position: Spread = 0.0  # mm, each axis
+    laser_angle: Spread = 0.0  # degrees, about each axis
+    laser_roll: Spread = 0.0  # degrees
+    laser_width: Annotated[float, Field(ge=0, le=1)] = 0.0  # of the width, a part of one
+    light: Annotated[float, Field(ge=0, le=1)] = 0.0  # of peak or power, a part of one
+    focus: Spread = 0.0  # mm
+    blur: Annotated[float, Field(ge=0, le=1)] = 0.0  # of the lens' own blur, a part of one
+    noise: Annotated[float, Field(ge=0, le=1)] = 0.0  # of the read noise, a part of one
+    stand_off: Spread = 0.0  # mm, of each plane, of which the calibration does not know
+    slip: Spread = 0.0  # mm, likewise, along x and y
+    plane_rotation: Spread = 0.0  # degrees, likewise, about the plane's normal
+    plane_tilt: Spread = 0.0  # degrees, likewise, about x and y
+
+
 @dataclass(frozen=True, slots=True, config=_STRICT, kw_only=True)
 class Placement:
     """Where an object stands at position 0 of the motion: ``pose``, or ``origin`` and ``rotation``."""
@@ -362,6 +383,7 @@ class RigDesign:
     objects: Annotated[tuple[ObjectDesign, ...], Field(max_length=200, validation_alias="object")] = ()
     faults: Annotated[tuple[FaultDesign, ...], Field(max_length=200, validation_alias="fault")] = ()
     motion: MotionDesign | None = None
+    tolerance: ToleranceDesign | None = None
 
     @model_validator(mode="after")
     def _joined(self) -> RigDesign:
@@ -396,6 +418,7 @@ _TABLES: dict[str, type[Any]] = {
     "fault": FaultDesign,
     "motion": MotionDesign,
     "wild": WildDesign,
+    "tolerance": ToleranceDesign,
 }
 
 
