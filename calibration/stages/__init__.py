@@ -3,7 +3,7 @@
 In: the pose of the target at every position of the stage, or views of it with the poses of the arm.
 Out: direction or axis in the camera frame, or where the camera is on the robot, with covariance, and the
     positions or views that contradict the rest.
-Read: stage, hand_eye_start, hand_eye_system, hand_eye.
+Read: stage, hand_eye_start, hand_eye_system, hand_eye, hand_eye_sphere.
 """
 
 from calibration.stages.hand_eye import (
@@ -13,14 +13,17 @@ from calibration.stages.hand_eye import (
     require_turns,
     solve_hand_eye,
 )
+from calibration.stages.hand_eye_sphere import Pass, SphereFit, solve_by_sphere
 from calibration.stages.hand_eye_start import Mount, SeenTarget, Start, closed_form, consensus
 from calibration.stages.stage import Stage, fit_linear, fit_turntable
 
 __all__ = [
     "HandEyeFit",
     "Mount",
+    "Pass",
     "Repeatability",
     "SeenTarget",
+    "SphereFit",
     "Stage",
     "Start",
     "ViewOfHandEye",
@@ -29,5 +32,6 @@ __all__ = [
     "fit_linear",
     "fit_turntable",
     "require_turns",
+    "solve_by_sphere",
     "solve_hand_eye",
 ]

@@ -89,17 +89,22 @@ def require_turns(views: Sequence[SeenTarget]) -> None:
             f"{len(views)} views; {_LEAST} are the least and 10 or more are wanted: add views, the arm turned by 20 degrees "
             "or more about two different axes"
         )
-    size, axes = turns([view.base_from_flange for view in views])
+    require_arm_turns([view.base_from_flange for view in views])
+
+
+def require_arm_turns(poses: Sequence[Pose], what: str = "views") -> None:
+    """``CalibrationError`` unless the flange turns about two axes between its poses in the base."""
+    size, axes = turns(poses)
     if size[0] < _LEAST_TURN:
         raise CalibrationError(
-            f"the arm turns by {np.rad2deg(size[0]):.2g} degrees (rms) between {len(views)} views, and shifts alone do not "
-            "tell where the camera is: add views, the wrist turned by 20 degrees or more about two different axes"
+            f"the arm turns by {np.rad2deg(size[0]):.2g} degrees (rms) between {len(poses)} {what}, and shifts alone do not "
+            f"tell where the camera is: add {what}, the wrist turned by 20 degrees or more about two different axes"
         )
     if size[1] < _LEAST_TURN:
         x, y, z = axes[0] * np.sign(axes[0][int(np.argmax(np.abs(axes[0])))])
         raise CalibrationError(
             f"the arm turns about one axis only, ({x:.2f}, {y:.2f}, {z:.2f}) of its flange ({np.rad2deg(size[1]):.2g} degrees "
-            "rms about any other), which leaves the camera's place along it open: add views tilted by 20 degrees or more about "
+            f"rms about any other), which leaves the camera's place along it open: add {what} tilted by 20 degrees or more about "
             "another axis"
         )
 

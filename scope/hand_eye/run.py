@@ -16,7 +16,9 @@ from calibration.notation import NOTATIONS, numbers_of
 from calibration.rig import Rig
 from calibration.stages import HandEyeFit, Mount, SeenTarget, consensus, require_turns, solve_hand_eye
 from scope.calibrating import measure_plane
+from scope.hand_eye.covariance import by_place_first
 from scope.hand_eye.readings import Reading, readings_of
+from scope.hand_eye.sphere import passes_of, sphere_answer
 from scope.hand_eye.views import require_size, seen_target
 from scope.session import SENSOR, TARGET, HandEye, HandEyePlan, read_hand_eye_plan
 
@@ -84,6 +86,8 @@ def hand_eye(path: str | Path, rig: Rig | str | Path, *, on_view: Tick = _no_tic
     rig = rig if isinstance(rig, Rig) else Rig.load(rig)
     if plan.camera_id and rig.camera_id and plan.camera_id != rig.camera_id:
         raise FileError(f"{plan.path}: camera_id {plan.camera_id!r}, the rig is of {rig.camera_id!r}; use its own rig")
+    if plan.radius is not None:
+        return _by_sphere(plan, rig, on_view)
     views, rows, dropped, measured = _views(plan, rig, on_view)
     if len(views) < 3:
         told = grouped([(d["name"], d["reason"]) for d in dropped], len(plan.marks.planes), "views", longest=150)
@@ -112,6 +116,18 @@ def hand_eye(path: str | Path, rig: Rig | str | Path, *, on_view: Tick = _no_tic
     except CalibrationError as error:
         return HandEyeResult(plan, None, None, tuple(dropped), (), False, str(error), measured=measured)
     return _judged(plan, rig, fit, dropped, measured)
+
+
+def _by_sphere(plan: HandEyePlan, rig: Rig, on_view: Tick) -> HandEyeResult:
+    passes, dropped = passes_of(plan, rig, on_view)
+    if not passes:
+        told = grouped([(d["name"], d["reason"]) for d in dropped], len(plan.marks.planes), "passes", longest=150)
+        raise CalibrationError(f"{plan.path}: no pass with a stripe on the sphere and a pose: {told}")
+    try:
+        answer = sphere_answer(plan, rig, passes, dropped)
+    except CalibrationError as error:
+        return HandEyeResult(plan, None, None, tuple(dropped), (), False, str(error))
+    return HandEyeResult(plan, None, answer, tuple(dropped), (), answer.passed, answer.why)
 
 
 def _views(
@@ -237,12 +253,6 @@ def _unsure(view: SeenTarget) -> float:
         np.linalg.norm(view.camera_from_target[0].apply(view.points[0]).mean(axis=0) - view.origin.mean(axis=0))
     )
     return float(0.1 / max(scale, 1e-9) * (1.0 + away / max(size, 1e-9)) / np.sqrt(max(len(view.points[0]), 1) / 12.0))
-
-
-def by_place_first(covariance: Array) -> Array:
-    """Covariance (6, 6) of (shift, turn) from that of (turn, shift)."""
-    order = [3, 4, 5, 0, 1, 2]
-    return np.asarray(covariance[np.ix_(order, order)])
 
 
 def _known(covariance: Array) -> Array | None:

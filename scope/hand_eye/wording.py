@@ -31,6 +31,15 @@ def hand_eye_text(result: HandEyeResult) -> str:
             for name in NOTATIONS
             if name != "matrix"
         ]
+    elif result.answer is not None:
+        answer = result.answer
+        sd = np.sqrt(np.diag(answer.covariance))
+        x, y, z = answer.sensor.translation
+        lines += [
+            f"{SENSOR[answer.mount]}: x {x:.3f} y {y:.3f} z {z:.3f} mm, by passes over a sphere",
+            f"one sigma {sd[0]:.3f} {sd[1]:.3f} {sd[2]:.3f} mm, {' '.join(f'{v:.4f}' for v in np.rad2deg(sd[3:]))} degrees",
+            f"rms of the points {answer.told['rms_mm']:.4f} mm, each pass left out {answer.told['loo_mm']:.4f} mm (median)",
+        ]
     if result.dropped:
         total = len(result.plan.marks.planes)
         lines.append(f"left out: {grouped([(d['name'], d['reason']) for d in result.dropped], total, 'views')}")

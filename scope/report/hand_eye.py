@@ -23,6 +23,25 @@ def hand_eye_page(result: HandEyeResult) -> str:
     if result.fit is not None:
         _answer(page, result)
         _views(page, result)
+    elif result.answer is not None:
+        answer = result.answer
+        sd = np.sqrt(np.diag(answer.covariance))
+        page.heading("Where the camera is, by passes over a sphere")
+        page.table(
+            ["", "x mm", "y mm", "z mm", "one sigma, mm", "one sigma, degrees"],
+            [
+                [
+                    SENSOR[answer.mount],
+                    *(f"{v:.3f}" for v in answer.sensor.translation),
+                    _largest(sd[:3]),
+                    f"{np.rad2deg(sd[3:].max()):.4f}",
+                ]
+            ],
+        )
+        page.table(
+            ["pass", "used", "left out, mm"],
+            [[v["name"], "yes" if v["used"] else "no", f"{v['loo_mm']:.4f}"] for v in answer.told["views"]],
+        )
     if result.dropped:
         page.heading("Left out")
         page.table(["view", "reason"], [[d["name"], d["reason"]] for d in result.dropped])

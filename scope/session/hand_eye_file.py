@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from calibration.errors import CalibrationError, FileError
 from calibration.stages import Mount, Repeatability
@@ -15,6 +15,14 @@ from scope.session.calibration_file import CalibrationPlan, PlanePlan
 from scope.session.robot_section import PoseLog, RobotSection, read_pose_log
 from scope.session.target_section import TargetSection, plate_of, polarity_of, target_of
 from scope.session.toml_file import MM, Positive, Section, Units, matching, read_toml
+
+
+class SphereSection(Section):
+    """[target] kind = "sphere": stripes across it are seen, and no marks."""
+
+    kind: Literal["sphere"]
+    diameter: Positive
+    laser: str | None = None
 
 
 class HandEyeAccept(Section):
@@ -30,7 +38,7 @@ class HandEyeSection(Section):
     units: Units = "mm"
     camera_id: str = ""
     mount: Mount
-    target: TargetSection
+    target: Annotated[TargetSection | SphereSection, Field(discriminator="kind")]
     robot: RobotSection
     accept: HandEyeAccept = HandEyeAccept()
 
@@ -54,6 +62,8 @@ class HandEyePlan:
     log: PoseLog
     repeatability: Repeatability | None
     loo_mm: float | None  # limit of [accept]
+    radius: float | None = None  # mm, of the sphere that the stripes cross; None for a target with marks
+    laser: str | None = None  # that shines on it; None: the rig's only one
 
 
 def read_hand_eye_plan(path: Path) -> HandEyePlan:
@@ -67,17 +77,19 @@ def read_hand_eye_plan(path: Path) -> HandEyePlan:
         raise FileError(
             f"{path}: robot.images: two images are called {twice}; the log of poses could not tell them apart"
         )
+    section = raw.target if isinstance(raw.target, TargetSection) else TargetSection(kind="listed")
     try:
-        target = target_of(raw.target, mm)
+        target = target_of(section, mm)
     except CalibrationError as error:
         raise FileError(f"{path}: {error}") from error
     views = tuple(PlanePlan(image.stem, (image,), None, {}, {}, None, None) for image in images)
-    marks = CalibrationPlan(
-        path, raw.camera_id, target, polarity_of(raw.target), {}, (), views, (), plate_of(raw.target, mm)
-    )
+    marks = CalibrationPlan(path, raw.camera_id, target, polarity_of(section), {}, (), views, (), plate_of(section, mm))
     robot = raw.robot
     log = read_pose_log(path.parent / robot.poses, robot.notation, robot.units, robot.gives)
     stated = None
     if robot.repeatability_mm is not None and robot.repeatability_deg is not None:
         stated = Repeatability(robot.repeatability_mm * mm, float(np.deg2rad(robot.repeatability_deg)))
-    return HandEyePlan(path, raw.mount, raw.camera_id, marks, log, stated, raw.accept.loo_mm)
+    sphere = raw.target if isinstance(raw.target, SphereSection) else None
+    radius, laser = (None, None) if sphere is None else (0.5 * sphere.diameter * mm, sphere.laser)
+    limit = None if raw.accept.loo_mm is None else raw.accept.loo_mm * mm
+    return HandEyePlan(path, raw.mount, raw.camera_id, marks, log, stated, limit, radius, laser)
