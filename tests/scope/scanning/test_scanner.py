@@ -127,3 +127,24 @@ def test_what_is_no_image_is_refused(session, frames) -> None:
     scanner.profile(frames[0])
     with pytest.raises(FileError, match="16 bit"):
         scanner.profile(frames[0].astype(np.uint16) * 257)
+
+
+def test_profiles_keep_nothing_that_grows(session, frames, dark):
+    import gc
+    import tracemalloc
+
+    scanner = scope.Scanner(session.rig)
+
+    def held(count: int) -> int:
+        for k in range(count):
+            scanner.profile(frames[k % len(frames)], dark[0])
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    held(8)  # the first frames tell the noise, and are kept for that
+    tracemalloc.start()
+    try:
+        few, many = held(20), held(100)
+    finally:
+        tracemalloc.stop()
+    assert many - few < 8192  # bytes; a hundredth of a profile a call would be 33,000
