@@ -11,9 +11,11 @@ from cli.console import (
     EXIT_NOT_TO_BE_USED,
     AllowEdited,
     Json,
+    NoHistory,
     Quiet,
     Report,
     emit,
+    note,
     progress,
     say,
     say_unsealed,
@@ -41,6 +43,7 @@ def calibrate(
     ] = None,
     init: Annotated[bool, typer.Option("--init", help="Write a commented calibration.toml to fill in.")] = False,
     report: Report = None,
+    no_history: NoHistory = False,  # noqa: ARG001  (its callback acts)
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -61,12 +64,15 @@ def verify(
     ] = None,
     allow_edited: AllowEdited = False,
     report: Report = None,
+    no_history: NoHistory = False,  # noqa: ARG001  (its callback acts)
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Repeat what the rig says of its verification, or test it on images it has not seen."""
     from calibration.atomic import require_folder, write_text
+    from calibration.rig import sha256_of
     from scope import verify as verify_rig
+    from scope.history import verification_figures
     from scope.report import verification_page, verification_text
 
     with user_errors():
@@ -74,6 +80,7 @@ def verify(
         result = verify_rig(rig, other, allow_edited=allow_edited)
         if not result["sealed"]:
             say_unsealed(rig, quiet=quiet)
+        note("verify", rig, verification_figures(result), passed=bool(result["passed"]), rig=sha256_of(rig))
         if report is not None:
             write_text(report, verification_page(result))
             say(f"wrote {report}", quiet=quiet)
@@ -86,13 +93,17 @@ def _calibrate(
     file: Path, out: Path, model: Model, order: str, report: Path | None, *, as_json: bool, quiet: bool
 ) -> None:
     from calibration.atomic import require_folder, write_text
+    from calibration.rig import sha256_of
     from scope import calibrate as calibrate_rig
+    from scope.history import calibration_figures
     from scope.report import calibration_page, calibration_text
 
     require_folder(out, report)
     with progress("finding marks", quiet=quiet) as tick:
         found = calibrate_rig(file, model=model, order=_order(order), on_plane=tick)
     found.rig.save(out)
+    figures = calibration_figures(found.result)
+    note("calibrate", out, figures, passed=found.passed, rig=sha256_of(out), camera=found.rig.camera_id)
     say(f"wrote {out}", quiet=quiet)
     if report is not None:
         write_text(report, calibration_page(found))

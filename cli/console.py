@@ -19,10 +19,21 @@ from calibration.errors import ScopeError
 EXIT_BAD_DATA = 1
 EXIT_NOT_TO_BE_USED = 3
 
+
+def _no_history(off: bool) -> bool:
+    if off:
+        os.environ["SCOPE_HISTORY"] = "off"  # of this process
+    return off
+
+
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no talk on stderr.")]
 AllowEdited = Annotated[
     bool, typer.Option("--allow-edited", help="Take a rig that was altered since its calibration, as unverified.")
+]
+NoHistory = Annotated[
+    bool,
+    typer.Option("--no-history", help="Keep no record in the history.db beside the result.", callback=_no_history),
 ]
 Report = Annotated[Path | None, typer.Option("--report", help="Write a self-contained HTML page.")]
 
@@ -61,6 +72,19 @@ def libraries_silenced() -> Iterator[None]:
         sys.stdout, sys.stderr = kept
         for fd in (*own, nowhere):
             os.close(fd)
+
+
+def note(kind: str, result: Path, figures: dict[str, float], *, passed: bool, rig: str = "", camera: str = "") -> None:
+    """Record a result in the history beside it, unless that is switched off; a result is never spoiled by its record."""
+    from scope.history import Record, journal_beside
+
+    journal = journal_beside(result)
+    if journal is None:
+        return
+    try:
+        journal.add(Record(kind, passed, figures, rig=rig, camera=camera, file=result.name))
+    except ScopeError as error:
+        typer.echo(f"not recorded: {' '.join(str(error).split())}", err=True)
 
 
 @contextmanager

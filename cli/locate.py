@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calibration.errors import ScopeError
-from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, progress, say, user_errors
+from cli.console import EXIT_NOT_TO_BE_USED, Json, NoHistory, Quiet, Report, emit, note, progress, say, user_errors
 
 if TYPE_CHECKING:
     from scope.cloud import Region
@@ -145,6 +145,7 @@ def check(
     ],
     tolerance: Annotated[float | None, typer.Option("--tolerance", help="Largest error allowed, mm.")] = None,
     region: Where = None,
+    no_history: NoHistory = False,  # noqa: ARG001  (its callback acts)
     report: Report = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -162,6 +163,7 @@ def check(
         repeat_result,
     )
     from scope.cloud import ScanCloud, unknown
+    from scope.history import check_figures
     from scope.report import check_page
 
     with user_errors():
@@ -188,6 +190,7 @@ def check(
     for path, scan in zip(clouds, scans, strict=True):
         if unread := unknown(scan, path.name):
             say(unread, quiet=quiet)
+    note("check", clouds[0], check_figures(told), passed=not out_of_tolerance(checks), rig=scans[0].rig_sha256)
     emit(told, as_json=as_json, text=text)
     if out_of_tolerance(checks):
         say("do not rely on this scanner before it is calibrated again", quiet=quiet)

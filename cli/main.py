@@ -10,10 +10,10 @@ import typer
 from cli import (
     batch,
     calibrate,
-    cameras,
     certificate,
     design,
     inspection,
+    live,
     locate,
     measure,
     merge,
@@ -60,9 +60,9 @@ for _commands in (
     view,
     target,
     design,
-    cameras,
     batch,
     certificate,
+    live,
 ):
     _commands.register(app)
 

@@ -11,9 +11,11 @@ from cli.console import (
     EXIT_NOT_TO_BE_USED,
     AllowEdited,
     Json,
+    NoHistory,
     Quiet,
     Report,
     emit,
+    note,
     progress,
     say,
     say_unsealed,
@@ -65,6 +67,7 @@ def scan(
         bool, typer.Option("--allow-unverified", help="Exit 0 although the rig is not verified.")
     ] = False,
     allow_edited: AllowEdited = False,
+    no_history: NoHistory = False,  # noqa: ARG001  (its callback acts)
     init: Annotated[bool, typer.Option("--init", help="Write a commented capture.toml to fill in.")] = False,
     report: Report = None,
     as_json: Json = False,
@@ -78,6 +81,7 @@ def scan(
     from calibration.rig import Rig
     from ranging.stripe import StripeOptions
     from scope.cloud import FilterOptions
+    from scope.history import scan_figures
     from scope.report import scan_page, scan_result, scan_text
     from scope.scanning import ScanOptions, scan_to_file
 
@@ -92,6 +96,15 @@ def scan(
                 filters=FilterOptions(isolated=isolated, max_incidence=max_incidence, voxel=voxel),
             )  # fmt: skip
             found = scan_to_file(capture, calibrated, out, options, resume=resume, on_frame=tick)
+        good = found.verified and not found.why_incomplete and not found.troubles
+        note(
+            "scan",
+            out,
+            scan_figures(scan_result(found)),
+            passed=good,
+            rig=calibrated.sha256,
+            camera=calibrated.camera_id,
+        )
         say(f"wrote {out}", quiet=quiet)
         if report is not None:
             write_text(report, scan_page(found, capture))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ import pytest
 
 from calibration.geometry import Pose
 from calibration.rays import PlaneMarks
+
+os.environ.setdefault("SCOPE_HISTORY", "off")  # tests of records switch it on
 
 # A camera of 640 x 480 px 300 to 380 mm from the jig, a laser from below, and a sphere and steps on a plate that a
 # linear stage carries through the sheet of light.

@@ -18,10 +18,10 @@ from scope.report.hand_eye import hand_eye_page
 from scope.report.inspection import inspection_page
 from scope.report.merge import merge_page
 from scope.report.page import Page, colour_bgr
-from scope.report.pictures import grey_blocks, with_marks, with_stripe
+from scope.report.pictures import cloud_from, grey_blocks, with_marks, with_stripe
 from scope.report.pose import pose_html
 from scope.report.roughness import roughness_csv, roughness_page, roughness_text
-from scope.report.scan import add_views, scan_page, scan_result, scan_text
+from scope.report.scan import add_views, scan_page, scan_result, scan_text, why_no_point
 from scope.report.view import view_page
 
 __all__ = [
@@ -35,6 +35,7 @@ __all__ = [
     "check_page",
     "check_text",
     "colour_bgr",
+    "cloud_from",
     "grey_blocks",
     "hand_eye_page",
     "pose_html",
@@ -49,4 +50,5 @@ __all__ = [
     "view_page",
     "with_marks",
     "with_stripe",
+    "why_no_point",
 ]

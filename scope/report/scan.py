@@ -31,6 +31,11 @@ _WHY = {
 }
 
 
+def why_no_point(reason: str) -> str:
+    """What a reason for a line without a point means, in words; empty for one that is not known."""
+    return _WHY.get(reason, "")
+
+
 def scan_result(found: Scan) -> dict[str, Any]:
     """What --json gives."""
     return {

@@ -11,8 +11,20 @@ from scope.scanning.agreement import Agreement
 from scope.scanning.covariance import point_covariance
 from scope.scanning.file import scan_to_file
 from scope.scanning.options import ScanOptions
-from scope.scanning.run import run_scan, scan
+from scope.scanning.run import gathered, open_scan, run_scan, scan
 from scope.scanning.scanner import Scanner
-from scope.scanning.statistics import Scan
+from scope.scanning.statistics import Chunk, Scan
 
-__all__ = ["Agreement", "Scan", "ScanOptions", "Scanner", "point_covariance", "run_scan", "scan", "scan_to_file"]
+__all__ = [
+    "Agreement",
+    "Chunk",
+    "gathered",
+    "open_scan",
+    "Scan",
+    "ScanOptions",
+    "Scanner",
+    "point_covariance",
+    "run_scan",
+    "scan",
+    "scan_to_file",
+]

@@ -33,6 +33,10 @@ def _no_tick(_done: int, _total: int) -> None:
     return None
 
 
+def _no_chunk(_chunk: Chunk) -> None:
+    return None
+
+
 def scan(capture: str | Path, rig: Rig | str | Path, *, options: ScanOptions | None = None) -> ScanCloud:
     """Range every frame of a capture; see `run_scan` for the cloud with its bookkeeping.
 
@@ -83,22 +87,27 @@ def run_scan(
     return gathered(setup, source, on_frame=on_frame)
 
 
-def open_scan(capture: str | Path, rig: Rig, options: ScanOptions | None = None) -> tuple[ScanSetup, Source]:
-    """Setup and frames of a capture file; ``FileError`` where file and rig do not fit, ``RangingError`` for a silent camera."""
+def open_scan(
+    capture: str | Path, rig: Rig, options: ScanOptions | None = None, *, source: Source | None = None
+) -> tuple[ScanSetup, Source]:
+    """Setup and frames of a capture file, or of the ``source`` that is given; ``FileError`` where file and rig do not fit, ``RangingError`` for a silent camera."""
     file = read_capture(Path(capture))
     asked = asked_by_capture(file, rig)
-    source = open_source(file)
+    source = source or open_source(file)
     return set_up(asked, rig, options or ScanOptions(), source.first(LOOK)), source
 
 
-def gathered(setup: ScanSetup, source: Source, *, on_frame: Tick = _no_tick) -> Scan:
-    """All runs of a source in one cloud, held in memory."""
+def gathered(
+    setup: ScanSetup, source: Source, *, on_frame: Tick = _no_tick, on_chunk: Callable[[Chunk], None] = _no_chunk
+) -> Scan:
+    """All runs of a source in one cloud, held in memory; ``on_chunk`` is called with each as soon as it is ranged."""
     started = time.perf_counter()
     statistics, parts = ScanStatistics(), []
     try:
         for chunk in runs(setup, source, on_frame=on_frame):
             statistics.add(chunk)
             parts.append(chunk.cloud)
+            on_chunk(chunk)
         why = source.trouble
     except KeyboardInterrupt:
         why = interrupted(source, statistics)

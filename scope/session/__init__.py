@@ -11,7 +11,10 @@ from scope.session.calibration_file import (
     LaserPlan,
     ListedMarks,
     PlanePlan,
+    PlannedPlane,
     StagePlan,
+    planned_camera,
+    planned_planes,
     read_calibration,
 )
 from scope.session.camera_section import DRIVERS, ON_FILES, CameraSection, CameraSettings, camera_settings
@@ -69,6 +72,7 @@ __all__ = [
     "ON_FILES",
     "PlanePlan",
     "PlaneView",
+    "PlannedPlane",
     "Plate",
     "Positive",
     "Section",
@@ -91,6 +95,8 @@ __all__ = [
     "open_source",
     "open_video",
     "plan_of",
+    "planned_camera",
+    "planned_planes",
     "read_alike",
     "read_calibration",
     "read_capture",

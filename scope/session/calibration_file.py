@@ -238,6 +238,42 @@ def read_calibration(path: Path, *, only: str | None = None) -> CalibrationPlan:
                            None if raw.camera is None else camera_settings(raw.camera, path.parent))  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class PlannedPlane:
+    """One [[plane]] whose images may still be to take: patterns relative to the file."""
+
+    name: str
+    images: tuple[str, ...]
+    laser: tuple[str, ...]  # empty where there is none, or where there are several lasers
+    background: tuple[str, ...]
+
+
+def planned_planes(path: Path) -> tuple[PlannedPlane, ...]:
+    """The [[plane]] tables of calibration.toml without their images; ``FileError`` as `read_calibration`."""
+    raw = read_toml(path, CalibrationSection)
+    return tuple(
+        PlannedPlane(
+            section.name or Path(_patterns(section.images)[0]).parent.name or f"plane {k + 1}",
+            _patterns(section.images),
+            _patterns(section.laser),
+            _patterns(section.background),
+        )
+        for k, section in enumerate(raw.plane)
+    )
+
+
+def planned_camera(path: Path) -> CameraSettings | None:
+    """The [camera] of calibration.toml, whose images may still be to take; None where it has none."""
+    raw = read_toml(path, CalibrationSection)
+    return None if raw.camera is None else camera_settings(raw.camera, path.parent)
+
+
+def _patterns(value: Any) -> tuple[str, ...]:
+    if isinstance(value, dict):
+        value = next(iter(value.values())) if len(value) == 1 else None
+    return (value,) if isinstance(value, str) else tuple(value or ())
+
+
 def with_views(path: Path, raw: CalibrationSection, *, lasers: bool) -> CalibrationSection:
     """The file with every image of its [[views]] as a [[plane]] of its own, called by its folder and stem."""
     planes = list(raw.plane)

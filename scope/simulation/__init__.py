@@ -9,7 +9,7 @@ Read: rig_design, virtual_rig, physics, optics, solids, rendering, stripe_truth,
 from scope.simulation.optics import exact_rays, project
 from scope.simulation.rendering import expose, render_stripe, render_target
 from scope.simulation.rig_design import FaultDesign, RigDesign, read_any_design, read_design
-from scope.simulation.session import Simulation, simulate
+from scope.simulation.session import Simulation, planned_session, simulate
 from scope.simulation.virtual_rig import VirtualRig
 from scope.simulation.wild import WildScene, draw_wild, write_wild
 from scope.simulation.wild_design import WildDesign
@@ -24,6 +24,7 @@ __all__ = [
     "draw_wild",
     "exact_rays",
     "expose",
+    "planned_session",
     "project",
     "read_any_design",
     "read_design",

@@ -24,7 +24,15 @@ from numpy.typing import NDArray
 from calibration.errors import FileError
 from calibration.geometry import Array, fit_plane
 from scope.simulation.rendering import disk_centroids
-from scope.simulation.rig_design import MeshDesign, MotionDesign, ObjectDesign, RigDesign, RoughDesign, read_any_design
+from scope.simulation.rig_design import (
+    MeshDesign,
+    MotionDesign,
+    ObjectDesign,
+    RigDesign,
+    RoughDesign,
+    read_any_design,
+    read_design,
+)
 from scope.simulation.stripe_truth import TrueStripe
 from scope.simulation.virtual_rig import VirtualRig, placed, rough_field
 from scope.simulation.wild import WildScene, write_wild
@@ -118,6 +126,19 @@ def simulate(
             f"{out}: could not be written ({error.strerror}); free space or choose another folder"
         ) from error
     return result
+
+
+def planned_session(design: str | Path) -> tuple[str, dict[str, Any]]:
+    """calibration.toml of a designed rig, and the table [motion] of its scan, with no image rendered."""
+    rig = VirtualRig.of(read_design(Path(design)))
+    motion = rig.design.motion
+    if motion is None or motion.kind == "fixed":
+        return _calibration_toml(rig, rig.design.camera.ambient > 0), {"kind": "fixed"}
+    told: dict[str, Any] = {"kind": motion.kind, "moves": motion.moves, "step": motion.step, "start": motion.start}
+    for key in ("direction", "axis_point", "axis_direction"):
+        if getattr(motion, key) is not None:
+            told[key] = list(getattr(motion, key))
+    return _calibration_toml(rig, rig.design.camera.ambient > 0), told
 
 
 def _refuse(out: Path) -> None:

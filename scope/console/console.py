@@ -1,0 +1,231 @@
+"""The console's parts joined: folder, camera, steps, jobs, and what is looked at."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from calibration.errors import FileError, ScopeError
+from calibration.rig import Rig
+from scope.cameras import View
+from scope.cloud import ScanCloud
+from scope.console import measuring
+from scope.console.folder import SessionFolder, stamp
+from scope.console.jobs import Job, Jobs
+from scope.console.look import Look, Subject, look_at, picture
+from scope.console.pictures import jpeg_of, viewer_page
+from scope.console.recording import Growth, motion_of, record
+from scope.console.station import Station
+from scope.console.steps import Steps
+from scope.history import Journal, Record, calibration_figures, check_figures, journal_beside, scan_figures
+from scope.scanning import Scanner
+from scope.session import CameraSettings
+from scope.version import __version__
+
+MOST_FRAMES = 1_000_000
+
+
+@dataclass(slots=True, eq=False)
+class Console:
+    """State of one console; pages and API read it and ask it for work."""
+
+    folder: SessionFolder
+    station: Station
+    steps: Steps
+    motion: dict[str, Any]  # offered for the next scan
+    journal: Journal | None = None
+    jobs: Jobs = field(default_factory=Jobs)
+    growth: Growth = field(default_factory=Growth)
+    subject: Subject = "stripe"
+    overlay: bool = True
+    look: Look | None = None
+    _jpeg: tuple[int, bytes] = (0, b"")
+    _scanner: tuple[float, Scanner | None] = (0.0, None)
+    _eye: threading.Lock = field(default_factory=threading.Lock)
+    _looked: float = 0.0
+
+    @classmethod
+    def open(
+        cls, folder: SessionFolder, settings: CameraSettings, motion: dict[str, Any], *, history: bool = True
+    ) -> Console:
+        """Open the camera and take up the session where it was left."""
+        return cls(folder, Station(settings), Steps(folder), motion, journal_beside(folder.rig) if history else None)
+
+    def rig(self) -> Rig | None:
+        """The session's rig; None where there is none that can be read."""
+        scanner = self.scanner()
+        return None if scanner is None else scanner.rig
+
+    def scanner(self) -> Scanner | None:
+        """Scanner of the session's rig, read anew where the file has changed."""
+        try:
+            when = self.folder.rig.stat().st_mtime
+        except OSError:
+            return None
+        if self._scanner[0] != when:
+            try:
+                self._scanner = (when, Scanner(self.folder.rig))
+            except ScopeError:
+                self._scanner = (when, None)
+        return self._scanner[1]
+
+    def frame(self, after: int, timeout: float = 2.0) -> tuple[int, bytes]:
+        """JPEG of the newest frame behind the ``after``-th, with what was found on it; rendered once for all who look."""
+        count, shot = self.station.wait(after, timeout)
+        if shot is None:
+            return 0, b""
+        with self._eye:
+            if self._jpeg[0] != count:
+                busy = self.jobs.running is not None
+                if self.overlay and time.monotonic() - self._looked > (0.5 if busy else 0.12):
+                    self.look = look_at(shot.image, self.subject, self.scanner() if self.subject == "stripe" else None)
+                    self._looked = time.monotonic()
+                self._jpeg = (count, picture(shot.image, self.look if self.overlay else None, overlay=self.overlay))
+            return self._jpeg
+
+    def show(self, subject: Subject, plane: str = "") -> None:
+        """Look at the stripe or at the target; a simulated camera shows it, on the object or at a stand-off."""
+        self.subject, self.look = subject, None
+        if self.station.simulated:
+            self.station.show(View(plane, laser=subject == "stripe", moving=False))
+
+    def status(self) -> dict[str, Any]:
+        """What GET /api/v1/status answers."""
+        rig, job = self.rig(), self.jobs.running
+        state = "error" if self.station.trouble else job.kind if job is not None else "ready"
+        told = (
+            None if rig is None else {"sha256": rig.sha256, "verified": rig.verification.passed, "written": rig.written}
+        )
+        return {
+            "state": state, "camera": self.station.status, "rig": told, "job": None if job is None else job.content,
+            "version": __version__,
+        }  # fmt: skip
+
+    def start_scan(self, asked: dict[str, Any], identity: str = "") -> Job:
+        """Start a scan; ``ValueError`` for what is asked wrongly, ``Busy`` while another job runs."""
+        motion = motion_of(asked["motion"]) if asked.get("motion") is not None else self.motion
+        frames = asked.get("frames")
+        if frames is not None and (
+            isinstance(frames, bool) or not isinstance(frames, int) or not 1 <= frames <= MOST_FRAMES
+        ):
+            raise ValueError(f"frames must be a whole number from 1 to {MOST_FRAMES}")
+        known = self.jobs.get(identity) if identity else None
+        name = str(known.asked["name"]) if known is not None and "name" in known.asked else identity or stamp()
+        if self.jobs.running is None:
+            self.show("stripe")
+        wanted = {"motion": motion, "frames": frames, "name": name}
+
+        def work(job: Job) -> dict[str, Any]:
+            found = record(self.folder, self.station, self.growth, wanted, job)
+            good = bool(found["complete"] and found["verified"] and not found["troubles"])
+            self.note(Record("scan", good, scan_figures(found), file=name))
+            return found
+
+        return self.jobs.start("scan", wanted, work, identity)
+
+    def start_calibration(self, identity: str = "") -> Job:
+        """Calibrate with what was taken."""
+
+        def work(job: Job) -> dict[str, Any]:
+            found = self.steps.calibrate(job)
+            self.note(Record("calibrate", bool(found["passed"]), calibration_figures(found), file="rig.json"))
+            return found
+
+        return self.jobs.start("calibration", {}, work, identity)
+
+    def growing(self, side: str) -> bytes:
+        """JPEG of the growing cloud from above or from the side; empty where there is none yet."""
+        points = self.growth.shown()
+        if len(points) < 10:
+            return b""
+        return jpeg_of(points, side)
+
+    def cloud_page(self, name: str) -> str:
+        """The page with the viewer of a scan's cloud."""
+        return viewer_page(ScanCloud.load(self.file("scans", name, "cloud.ply")), name)
+
+    def cloud_of(self, scan: str) -> Path:
+        """Cloud of a scan, or of the newest where none is named."""
+        name = scan or next(iter(self.folder.clouds()), "")
+        if not name:
+            raise FileError("there is no cloud in the session yet; scan first")
+        return self.file("scans", name, "cloud.ply")
+
+    def map_of(self, scan: str) -> tuple[str, tuple[float, float, float], str]:
+        """Map of a scan's cloud; see `measuring.map_of`."""
+        return measuring.map_of(ScanCloud.load(self.cloud_of(scan)))
+
+    def keep_model(self, name: str, data: bytes) -> str:
+        """Take a mesh into the session."""
+        return measuring.keep_model(self.folder, name, data)
+
+    def start_roughness(self, scan: str, region: str | None, identity: str = "") -> Job:
+        """Roughness of a region of a scan."""
+        return self._measure(
+            "roughness", scan, {"region": region}, lambda cloud: measuring.roughness(cloud, region), identity
+        )
+
+    def start_pose(self, scan: str, model: str, identity: str = "") -> Job:
+        """Pose of a part whose mesh stands in ``models``."""
+        path = self.file("models", model)
+        return self._measure("pose", scan, {"model": model}, lambda cloud: measuring.pose(cloud, path), identity)
+
+    def start_check(
+        self, scan: str, artefact: str, tolerance: float | None, region: str | None, identity: str = ""
+    ) -> Job:
+        """Accuracy on an artefact."""
+        asked = {"artefact": artefact, "tolerance": tolerance, "region": region}
+        return self._measure(
+            "check", scan, asked, lambda cloud: measuring.check(cloud, artefact, tolerance, region), identity
+        )
+
+    def _measure(
+        self, kind: str, scan: str, asked: dict[str, Any], work: Callable[[Path], dict[str, Any]], identity: str
+    ) -> Job:
+        cloud = self.cloud_of(scan)
+
+        def measured(job: Job) -> dict[str, Any]:
+            try:
+                found = work(cloud)
+            except ValueError as error:  # what was typed, in words
+                raise FileError(str(error)) from error
+            if kind == "check":
+                self.note(Record("check", found["good"], check_figures(found["check"]), file=cloud.parent.name))
+            return {**found, "scan": cloud.parent.name, "asked": job.asked}
+
+        return self.jobs.start(kind, {**asked, "scan": cloud.parent.name}, measured, identity)
+
+    def note(self, record: Record) -> None:
+        """Keep a record in the session's history, where that is not switched off."""
+        if self.journal is None:
+            return
+        rig = self.rig()
+        with suppress(FileError):  # a full disk must not spoil the result
+            self.journal.add(replace(record, rig="" if rig is None else rig.sha256, camera=self.station.settings.name))
+
+    def history(self) -> list[Record]:
+        """Records of the session, the newest first."""
+        return [] if self.journal is None else self.journal.records()[::-1]
+
+    def stop(self) -> None:
+        """Stop the job that runs; what it has is kept."""
+        if (job := self.jobs.running) is not None:
+            job.stop.set()
+
+    def file(self, *parts: str) -> Path:
+        """A file of the session to be sent; ``FileError`` where it is not one."""
+        path = self.folder.inside(*parts)
+        if not path.is_file():
+            raise FileError("there is no such file in the session")
+        return path
+
+    def close(self) -> None:
+        """End: a scan that runs keeps what it has."""
+        self.stop()
+        self.jobs.wait(20.0)
+        self.station.close()

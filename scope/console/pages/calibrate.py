@@ -1,0 +1,152 @@
+"""Calibrate: the stand-offs as a list with traffic lights; take, redo, skip; the verdict in the end."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from nicegui import run, ui
+
+from scope.console.console import Console
+from scope.console.pages.layout import box, figures, framed, live_image, refused, say, told
+from scope.console.steps import Step
+
+_WORDS = {"good": "good", "poor": "not good", "taken": "half taken", "empty": "to take", "skipped": "skipped"}
+
+
+def add_calibrate(console: Console) -> None:
+    """Add the page."""
+
+    @ui.page("/calibrate")
+    def calibrate() -> None:
+        with framed(console, "Calibrate"), ui.element("div").classes("two"):
+            with ui.column().classes("w-full gap-3"):
+                with box("Stand-offs"):
+                    _steps(console)
+                with box("Verdict"):
+                    _verdict(console)
+            with ui.column().classes("w-full gap-2"):
+                live_image()
+                ui.label(
+                    "Each stand-off: put the target in its place, take; the light says whether it is good."
+                ).classes("muted")
+                ui.label(f"Images land in {console.folder.root.name}/, as calibration.toml names them.").classes(
+                    "muted"
+                )
+
+
+def _steps(console: Console) -> None:
+    @ui.refreshable
+    def steps() -> None:
+        if not console.folder.calibration.is_file():
+            told(
+                "There is no calibration.toml in the session folder: write one with `scope calibrate --init spots`.",
+                "warn",
+            )
+            return
+        for step in say(console.steps.all) or []:
+            with ui.element("div").classes("step").mark(step.name):
+                ui.element("span").classes(f"lamp {step.light}").props(f'role="img" aria-label="{_WORDS[step.light]}"')
+                with ui.element("div").classes("what"):
+                    ui.label(step.name).style("font-weight:600")
+                    counts = ", ".join(f"{count} {kind}" for kind, count in step.files.items() if count)
+                    said = step.told if step.light == "empty" else f"{_WORDS[step.light]}: {step.told}"
+                    ui.label(said + (f" ({counts})" if counts else "")).classes("muted")
+                with ui.element("div").style("display:flex;gap:.4rem;margin-left:auto"):
+                    _buttons(console, step, steps.refresh)
+
+    steps()
+
+
+def _buttons(console: Console, step: Step, refresh: Any) -> None:
+    async def take(kind: str) -> None:
+        if console.jobs.running is not None:
+            ui.notify("a job is running; wait for its end", type="warning")
+            return
+        console.subject = "target"
+        with refused():
+            done = await run.io_bound(partial(console.steps.take, console.station, step.name, kind))
+            console.show("target", step.name)
+            await run.io_bound(console.steps.all)  # judged here, so that the page does not wait
+            ui.notify(done, type="positive")
+        refresh()
+
+    def skip() -> None:
+        say(partial(console.steps.skip, step.name, out=step.light != "skipped"))
+        refresh()
+
+    again = step.light not in {"empty", "skipped"}
+    if console.station.switches_laser or not step.laser:
+        kinds = [("", "redo" if again else "take")]
+    else:
+        kinds = [("images", "target again" if step.files.get("images") else "take target")]
+        kinds.append(("laser", "laser again" if step.files.get("laser") else "take laser"))
+        kinds += [("background", "take dark")] if step.background else []
+    for kind, label in kinds:
+        button = ui.button(label, on_click=partial(take, kind)).props(
+            f'dense no-caps unelevated aria-label="{label} {step.name}"'
+        )
+        button.mark(f"take-{step.name}{'-' + kind if kind else ''}")
+    ui.button("take in" if step.light == "skipped" else "skip", on_click=skip).props("dense no-caps flat")
+
+
+def _verdict(console: Console) -> None:
+    def start() -> None:
+        if say(console.start_calibration) is not None:
+            ui.notify("calibrating")
+
+    ui.button("calibrate", on_click=start).props("no-caps unelevated").mark("calibrate")
+    progress = ui.linear_progress(0.0, show_value=False).props('aria-label="planes done"')
+    seen: list[Any] = [None]
+
+    @ui.refreshable
+    def verdict() -> None:
+        job = next(
+            (job for job in (console.jobs.running, console.jobs.last) if job is not None and job.kind == "calibration"),
+            None,
+        )
+        if job is None or job.state == "running":
+            rig = console.rig()
+            if rig is not None:
+                told(
+                    ("passed: " if rig.verification.passed else "not passed: ") + rig.verification.why,
+                    "good" if rig.verification.passed else "bad",
+                )
+                ui.link("the report", "/files/calibration.html", new_tab=True)
+            return
+        if job.state == "failed":
+            told(job.message, "bad")
+            return
+        found = job.result
+        told(
+            ("passed: " if found["passed"] else "not passed: ") + str(found["why"]),
+            "good" if found["passed"] else "bad",
+        )
+        for fault in found["faults"][:8]:
+            told(f"{fault['plane']}: {fault['kind']}: {fault['remedy']}", "bad")
+        rows = [
+            (
+                str(p["name"]),
+                str(p["used"]),
+                *(("-" if p.get(key) is None else f"{p[key]:.4f}") for key in ("fit_px", "heldout_mm")),
+            )
+            for p in found["planes"]
+        ]
+        ui.html(figures(rows, ("plane", "marks", "fit, px", "held out, mm")), sanitize=False).classes("w-full")
+        ui.link("the whole report, with pictures", "/files/calibration.html", new_tab=True)
+
+    verdict()
+
+    def refresh() -> None:
+        job = console.jobs.running
+        mine = job is not None and job.kind == "calibration"
+        progress.set_visibility(mine)
+        if job is not None and mine:
+            progress.set_value(job.done / max(job.total, 1))
+        last = console.jobs.last
+        now = None if last is None else (last.id, last.state)
+        if now != seen[0]:
+            seen[0] = now
+            verdict.refresh()
+
+    ui.timer(0.5, refresh)
