@@ -181,7 +181,9 @@ def _fit(marks: PlaneMarks, domain: Domain, terms: Terms) -> PlaneFit:
             f"plane {marks.name}: the {len(marks)} marks do not determine order {terms} (they lie on one line, or on too "
             "few rows or columns): show more of the target or lower --order"
         ) from error
-    alone = fit.left_out()
+    alone = (
+        fit.left_out() if freedom else np.full_like(fit.residuals, np.nan)
+    )  # as many terms as marks foretell nothing
     return PlaneFit(
         plane_map,
         np.einsum("nij,nj->ni", to_px, fit.residuals),

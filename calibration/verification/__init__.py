@@ -2,11 +2,12 @@
 
 In: all sightings of all marks, and the camera fitted to them.
 Out: figures in px and mm, and faults: which plane, what is wrong with it, by how much, what to do.
-Read: analysis, leave_out, observations, redundancy, misplacement, hypotheses, faults, mix_ups, rig_faults,
+Read: support, analysis, expectation, leave_out, observations, redundancy, misplacement, hypotheses, faults, mix_ups, rig_faults,
     wording.
 """
 
 from calibration.verification.analysis import Interplane, Intraplane, beyond_reach, block_image, interplane, intraplane
+from calibration.verification.expectation import RayBound, expected_interplane_px, ray_bound
 from calibration.verification.faults import find_faults
 from calibration.verification.leave_out import HeldOut, against, held_out, leave_views_out
 from calibration.verification.rig_faults import faults_against
@@ -18,9 +19,11 @@ __all__ = [
     "Interplane",
     "Intraplane",
     "Lattice",
+    "RayBound",
     "against",
     "beyond_reach",
     "block_image",
+    "expected_interplane_px",
     "faults_against",
     "find_faults",
     "held_out",
@@ -29,4 +32,5 @@ __all__ = [
     "leave_views_out",
     "of_marks",
     "of_too_many_marks",
+    "ray_bound",
 ]

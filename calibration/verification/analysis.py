@@ -9,8 +9,9 @@ import numpy as np
 
 from calibration.camera import GRID, pixel_grid
 from calibration.geometry import Array
-from calibration.rays import MAX_ORDER, PlaneMarks, RayField, TwoPlaneCamera, TwoPlaneFit, rms
+from calibration.rays import MAX_ORDER, PlaneMap, PlaneMarks, RayField, TwoPlaneCamera, TwoPlaneFit, rms
 from calibration.verification.redundancy import redundancy_of
+from calibration.verification.support import support_of
 
 _BEYOND = 6.0  # times the median residual; chance gives the worst of 2,000 marks four times it
 _BEYOND_PX = 0.05  # less is told by the figures
@@ -133,7 +134,8 @@ def beyond_reach(fit: TwoPlaneFit) -> str:
 class Interplane:
     """How well the points of one pixel on all planes lie on a line, over a grid of pixels (rows R, columns C).
 
-    Pixels whose points fall outside the calibrated volume on any plane are NaN.
+    Only planes are joined that have marks around the pixel, three at least (two, where there are but two planes); other pixels
+    are NaN, and so are pixels whose points fall outside the calibrated volume.
     """
 
     pixels: Array  # (R, C, 2) px (u, v)
@@ -155,48 +157,66 @@ class Interplane:
         return _rms_known(self.error_mm)
 
 
-def interplane(camera: TwoPlaneCamera, *, grid: tuple[int, int] = GRID) -> Interplane:
+def interplane(
+    camera: TwoPlaneCamera, marks: Sequence[PlaneMarks] | None = None, *, grid: tuple[int, int] = GRID
+) -> Interplane:
     """Inter-plane analysis: whether the maps of all planes agree on one ray a pixel (equations 6 to 8, figure 6).
 
     Parameters
     ----------
     camera : TwoPlaneCamera
         Its maps; the joint field plays no part. Two planes always agree exactly.
+    marks : sequence of PlaneMarks, optional
+        Of its maps, in their order: planes are joined only where they have marks around the pixel. Where all planes have them
+        around some pixels, those are the ones that count; else every pixel around which three have. Without it the
+        calibrated volume alone bounds the pixels.
     grid : (rows, columns)
         Pixels are the centres of so many equal blocks of the image.
     """
     pixels = pixel_grid(camera.size, grid)
     flat = pixels.reshape(-1, 2)
     points = np.stack([m.points(flat) for m in camera.maps])  # (n, N, 3)
-    inside = np.all([camera.volume.contains(p) for p in points], axis=0)
-    points = np.where(inside[None, :, None], points, np.nan)
-    centroid, direction, error = lines(points[:, inside])
-    paper, paper_error = lines_paper(points[:, inside])
-    cosine = np.abs(np.einsum("ni,ni->n", direction, paper))
-    sine = np.linalg.norm(np.cross(direction, paper), axis=1)
-    angle = np.arctan2(sine, cosine)
+    inside = np.array([camera.volume.contains(p) for p in points])
+    joined = inside if marks is None else inside & support_of(flat, marks)
+    everywhere = joined.all(axis=0)
+    joined = joined & everywhere if everywhere.any() else joined & (joined.sum(axis=0) >= min(3, len(points)))
+    count = joined.sum(axis=0)
+    ways, errors = np.full((len(flat), 3), np.nan), np.full((len(points), len(flat), 3), np.nan)
     by_plane = np.full((len(points), len(flat), 2), np.nan)
-    for k, plane_map in enumerate(camera.maps):
-        normal = plane_map.plane.normal
-        here = points[k, inside]
-        gap = ((here - centroid) @ normal) / (direction @ normal)
-        offset = (here - centroid - gap[:, None] * direction) @ plane_map.c_from_plane.rotation[:, :2]
-        by_plane[k, inside] = np.linalg.solve(plane_map.jacobian(flat[inside]), offset[:, :, None])[:, :, 0]
+    summed, angles = np.full(len(flat), np.nan), []
+    for mask in np.unique(joined[:, count > 0], axis=1).T:  # planes that are joined at the same pixels
+        here, planes = np.flatnonzero((joined == mask[:, None]).all(axis=0)), np.flatnonzero(mask)
+        own = points[planes][:, here]
+        centroid, ways[here], error = lines(own)
+        paper, paper_error = lines_paper(own)
+        errors[planes[:, None], here] = error
+        summed[here] = np.abs(paper_error).sum(axis=(0, 2))
+        sine = np.linalg.norm(np.cross(ways[here], paper), axis=1)
+        angles.append(np.arctan2(sine, np.abs(np.einsum("ni,ni->n", ways[here], paper))))
+        for k in planes:
+            by_plane[k, here] = _off_line(camera.maps[k], flat[here], centroid, ways[here], points[k, here])
 
-    def picture(values: Array) -> Array:
-        whole = np.full((len(flat), *values.shape[1:]), np.nan)
-        whole[inside] = values
-        return whole.reshape(*grid, *values.shape[1:])
+    def mean(values: Array) -> Array:
+        square = np.where(joined, (values**2).sum(axis=2), 0.0).sum(axis=0)
+        return np.asarray(np.where(count > 0, np.sqrt(square / np.maximum(count, 1)), np.nan).reshape(grid))
 
     return Interplane(
         pixels,
-        picture(direction),
-        picture(np.sqrt((error**2).sum(axis=2).mean(axis=0))),
-        np.sqrt((by_plane**2).sum(axis=2).mean(axis=0)).reshape(grid),
-        picture(np.abs(paper_error).sum(axis=(0, 2))),
+        ways.reshape(*grid, 3),
+        mean(errors),
+        mean(by_plane),
+        summed.reshape(grid),
         by_plane.reshape(len(points), *grid, 2),
-        float(angle.max()) if len(angle) else float("nan"),
+        float(np.concatenate(angles).max()) if angles else float("nan"),
     )
+
+
+def _off_line(plane: PlaneMap, pixels: Array, centroid: Array, way: Array, points: Array) -> Array:
+    """Points (N, 3) of a map minus where lines cross its plane, (N, 2) px."""
+    normal = plane.plane.normal
+    gap = ((points - centroid) @ normal) / (way @ normal)
+    offset = (points - centroid - gap[:, None] * way) @ plane.c_from_plane.rotation[:, :2]
+    return np.asarray(np.linalg.solve(plane.jacobian(pixels), offset[:, :, None])[:, :, 0])
 
 
 def lines(points: Array) -> tuple[Array, Array, Array]:

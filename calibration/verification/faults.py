@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.errors import CalibrationError
 from calibration.geometry import Array, Bools
 from calibration.rays import MAX_ORDER, PlaneMarks, RayField, fit_ray_field
 from calibration.verification import misplacement as placement
@@ -42,6 +43,9 @@ SAME_POINT = (
     13.8  # chi-square of two freedoms that chance exceeds once in a thousand: a stretch about the target's middle
 )
 _TRUNCATION = 3.0  # times what the last order changed in a mark: as much may be the lens and not the mark
+FEW = (
+    32  # marks a plane, below which the field cannot be of an order so generous that a lens beyond it shows in nothing
+)
 MOST_MARKS = 0.05  # of all marks that may be dropped one by one; more are no matter of single marks
 
 
@@ -95,18 +99,50 @@ def find_faults(
         if len(simpler.choice.hypotheses) < len(state.choice.hypotheses):
             state = simpler
     state, stretched = _stretched(rest, basis, start, state, lattice)
-    for h in state.choice.hypotheses:
+    bound = _bound(state, basis)
+    for h in state.choice.hypotheses if bound.better else ():
         if not (h.plane in stretched and h.kind == "slip"):
             whole = h.plane in stretched and h.kind == "pitch"
             faults.append(of_hypothesis(h, state.stated, state.choice, state.fit, lattice, stretched=whole))
     if not state.choice.hypotheses and len(rest) > 2:
         off = float(np.sqrt((state.redundancy.moved_px**2).sum(axis=1).mean()))
-        if off > SCATTER_PX and state.choice.scatter.any():
+        if off > SCATTER_PX and bound.contradicting and state.choice.scatter.any():
             faults.append(
                 of_scatter(best_single(state.choice.score_of_modes), state.stated, state.choice.score_of_modes, off)
             )
-    faults += _of_marks(state, basis)
+    faults += [fault for fault in _of_marks(state, basis) if fault.value > bound.mark_px]
     return tuple(faults)
+
+
+@dataclass(frozen=True, slots=True)
+class _Bound:
+    """What a session of few marks must show before a fault is believed; nothing where there are many."""
+
+    better: bool = True  # whether the planes put right foretell marks so much better as a fault would have it
+    contradicting: bool = True  # whether the planes contradict each other by more than marks are foretold
+    mark_px: float = 0.0  # by which a single mark must be off
+
+
+def _bound(state: _State, basis: RayField) -> _Bound:
+    """Faults of a few marks against the error with which the marks foretell each other.
+
+    With few marks a plane the noise of the centroids is no measure of a fault: the plate's own errors and what the lens does
+    between the marks show as much. So a mark left out on all planes is foretold with the planes as stated and put right:
+    misplacements are believed where its squares fall, over all planes, by more than they are on one; a scatter of the planes where
+    what no field follows of it is more than that error, rms a mark; single marks where they are off by three times as much.
+    """
+    if min(len(p) for p in state.stated) >= FEW:
+        return _Bound()
+    try:
+        after = fit_ray_field(list(state.right)).loo_px
+        kept = [p.select(k) for p, k in zip(state.stated, state.kept, strict=True)]
+        before = fit_ray_field(kept).loo_px
+    except CalibrationError:
+        return _Bound(False, False, float("inf"))
+    stated = redundancy_of(kept, basis)
+    total = Score.of(stated.score, stated.information).total
+    off = stated.sigma_px * float(np.sqrt(total / sum(len(p) for p in kept)))
+    return _Bound(len(kept) * (before**2 - after**2) > after**2, off > after, 3.0 * after)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,6 +12,9 @@ from calibration.camera import Camera
 from calibration.errors import CalibrationError
 from calibration.geometry import Array, Rays
 from calibration.rays import FreehandFit, PlaneMap, PlaneMarks, RayField, TwoPlaneFit, locate_target, refit_without, rms
+from calibration.verification.support import AROUND, support_of
+
+FEWEST = 0.2  # of a plane's marks that others must support
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,6 +27,7 @@ class HeldOut:
     bias_mm: Array  # (3,) mean offset of the marks from their rays, in C
     n: int  # marks
     between: bool  # whether the plane stands between others, so that rays were interpolated
+    why: str = ""  # why the figures are withheld (NaN), where they are
 
 
 def held_out(fit: TwoPlaneFit, *, model: Literal["two-plane", "joint"] = "joint") -> tuple[HeldOut, ...]:
@@ -41,7 +45,9 @@ def held_out(fit: TwoPlaneFit, *, model: Literal["two-plane", "joint"] = "joint"
     -------
     tuple of HeldOut, by depth
         Empty for two planes, of which one alone makes no rays. Planes at either end are extrapolated
-        (``between`` False) and so are worse than anything ranged inside the calibrated volume.
+        (``between`` False) and so are worse than anything ranged inside the calibrated volume. Only marks are counted around
+        whose pixels two other planes have marks, too (within 1.3 of their hull): elsewhere nothing but the smoothness of the
+        field says anything. Where they are fewer than `FEWEST` of the plane, its figures are withheld.
     """
     if len(fit.marks) < 3:
         return ()
@@ -49,12 +55,25 @@ def held_out(fit: TwoPlaneFit, *, model: Literal["two-plane", "joint"] = "joint"
     without = _fields_without(field, fit.marks) if model == "joint" else []
     found = []
     for k, marks in enumerate(fit.marks):
-        if model == "joint":
-            rays = without[k].rays(marks.pixels)
-        else:
-            rays = _two_plane_rays(fit.camera.maps[:k] + fit.camera.maps[k + 1 :], field, marks)
-        found.append(_against(rays, field, marks, between=0 < k < len(fit.marks) - 1))
+        others, maps = fit.marks[:k] + fit.marks[k + 1 :], fit.camera.maps[:k] + fit.camera.maps[k + 1 :]
+        if model == "two-plane":
+            pair = _nearest(maps, field, marks)
+            others, maps = tuple(others[i] for i in pair), tuple(maps[i] for i in pair)
+        seen = support_of(marks.pixels, others, enlarged=AROUND).sum(axis=0) >= 2
+        between = 0 < k < len(fit.marks) - 1
+        if seen.sum() < max(FEWEST * len(marks), 3):
+            found.append(_withheld(marks, int(seen.sum()), between=between))
+            continue
+        marks = marks.select(seen)
+        rays = without[k].rays(marks.pixels) if model == "joint" else _two_plane_rays(maps, field, marks)
+        found.append(_against(rays, field, marks, between=between))
     return tuple(found)
+
+
+def _withheld(marks: PlaneMarks, seen: int, *, between: bool) -> HeldOut:
+    nan = float("nan")
+    why = f"two other planes have marks around {seen} of its {len(marks)} marks only"
+    return HeldOut(marks.name, nan, nan, np.full(3, nan), 0, between, why)
 
 
 def _fields_without(field: RayField, planes: Sequence[PlaneMarks]) -> list[RayField]:
@@ -116,12 +135,16 @@ def leave_views_out(fit: FreehandFit) -> tuple[HeldOut, ...]:
     return tuple(found)
 
 
-def _two_plane_rays(maps: tuple[PlaneMap, ...], field: RayField, marks: PlaneMarks) -> Rays:
-    """Rays through the two maps nearest in depth to the plane of the marks."""
+def _nearest(maps: tuple[PlaneMap, ...], field: RayField, marks: PlaneMarks) -> list[int]:
+    """The two maps nearest in depth to the plane of the marks."""
     depth = np.array([float(field.depth(m.points(marks.pixels)).mean()) for m in maps])
     here = float(field.depth(marks.world).mean())
-    first, second = sorted(np.argsort(np.abs(depth - here))[:2])
-    a, b = maps[first].points(marks.pixels), maps[second].points(marks.pixels)
+    return sorted(int(i) for i in np.argsort(np.abs(depth - here))[:2])
+
+
+def _two_plane_rays(maps: tuple[PlaneMap, ...], field: RayField, marks: PlaneMarks) -> Rays:
+    """Rays through two maps."""
+    a, b = maps[0].points(marks.pixels), maps[1].points(marks.pixels)
     if field.forward < 0:
         a, b = b, a
     return Rays(a, (b - a) / np.linalg.norm(b - a, axis=1, keepdims=True))

@@ -48,6 +48,8 @@ def fit_field(rows: Observations, basis: RayField, most: int = MAX_ORDER) -> Ray
     depth, across = rows.world[:, 2], rows.world[:, :2]
     fewest = min(len(p) for p in rows.planes)
     highest = max(n for n in range(1, most + 1) if n == 1 or fewest >= 1.5 * len(polynomial.exponents(n)))
+    if len(depth) >= 1.5 * 2 * len(polynomial.exponents(LEAST_ORDER)):  # a few marks, but on several planes
+        highest = max(highest, min(LEAST_ORDER, most))
     start = _solve_field(rows, basis, min(3, highest), min(1, highest), np.ones(len(depth)))
     weight = 1.0 / np.sqrt(np.maximum(np.abs(np.linalg.det(start.jacobian(rows.pixels, depth))), 1e-30))
     square = basis.domain.square(rows.pixels)

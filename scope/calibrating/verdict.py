@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from calibration.geometry import Array
+from calibration.grouping import grouped
 from calibration.rays import (
     TERMS,
     Coverage,
@@ -29,12 +30,15 @@ from calibration.verification import (
     Interplane,
     Intraplane,
     Lattice,
+    RayBound,
     beyond_reach,
+    expected_interplane_px,
     find_faults,
     held_out,
     interplane,
     intraplane,
     leave_views_out,
+    ray_bound,
 )
 from scope.calibrating.left_out import LeftOut
 from scope.calibrating.marks import MeasuredPlane
@@ -42,6 +46,8 @@ from scope.calibrating.stages import FoundStages
 from scope.session import CalibrationPlan
 
 NAN = float("nan")
+OPEN_PX = 1.0  # by which rays or marks that are left out may be off without a limit that says so
+AMISS = 10.0  # times the centroids' own noise, beyond which left-out marks are told
 ADVICE = (
     "an error that is affine (all stand-offs or the pitch wrong by one factor) is invisible to planes: check a known "
     "artefact with scope check"
@@ -71,7 +77,8 @@ def judge_jig(
 ) -> Verdict:
     """Judge a calibration on known stand-offs: the faults that `named_faults` gave, held-out planes, and the limits of [accept]."""
     held = held_out(fit, model=fit.camera.model)
-    agreement, inside = interplane(fit.camera), intraplane(fit)
+    agreement, inside = interplane(fit.camera, fit.marks), intraplane(fit)
+    bound = ray_bound(fit, untested=any(h.why for h in held))
     corner = beyond_reach(fit)
     of_plane = {h.name: h for h in held}
     at = {m.name: k for k, m in enumerate(fit.marks)}
@@ -96,7 +103,9 @@ def judge_jig(
     faults += _of_marks(seen)
     content = {
         "interplane_px": agreement.interplane_px,
-        "ray_mm": _rms([h.rms_mm for h in held if h.between]),
+        "interplane_expected_px": expected_interplane_px(fit, agreement),
+        "ray_sigma_mm": bound.mm,
+        "ray_mm": _rms([h.rms_mm for h in held if h.between and not h.why]),
         "order": fit.planes[0].map.terms,
         "model": fit.camera.model,
         "interplane_mm": agreement.interplane_mm,
@@ -111,8 +120,41 @@ def judge_jig(
         "stages": [stage_content(stage) for stage in stages.stages],
         "warnings": [*([corner] if corner else []), *stages.warnings],
     }
-    verdict = _verdict(plan, seen, rows, lasers, faults, content, planes=len(fit.marks))
+    open_, notes = _open(fit, held, bound)
+    verdict = _verdict(plan, seen, rows, lasers, faults, content, planes=len(fit.marks), open_=open_, notes=notes)
     return Verdict(verdict.verification, verdict.content, inside, agreement, held)
+
+
+def _open(fit: TwoPlaneFit, held: tuple[HeldOut, ...], bound: RayBound) -> tuple[list[str], list[str]]:
+    """What the marks of a jig leave open: reasons not to pass, and what must be said although it passes."""
+    open_, notes = [], []
+    left_out = rms(np.concatenate([plane.left_out for plane in fit.planes]))
+    known = np.concatenate([np.trace(m.covariance, axis1=1, axis2=2) for m in fit.marks])
+    noise = float(np.sqrt(np.nanmean(known))) if np.isfinite(known).any() else NAN
+    sure = f" where their centroids are known to {noise:.2g} px" if np.isfinite(noise) else ""
+    if not np.isfinite(left_out):
+        open_.append(
+            "the maps have as many terms as their planes have marks, so that nothing tests them: lower --order, or show more marks"
+        )
+    elif left_out > max(OPEN_PX, AMISS * np.nan_to_num(noise)):
+        open_.append(
+            f"marks that are left out are off by {left_out:.2g} px{sure}: {min(map(len, fit.marks))} marks a plane do not determine "
+            "its map, or are not where they are listed: add marks, or measure their places"
+        )
+    elif left_out > AMISS * noise:
+        notes.append(
+            f"marks that are left out are off by {left_out:.2g} px{sure}: the target's own errors, or few marks"
+        )
+    withheld = [(h.name, h.why) for h in held if h.why]
+    if withheld:
+        told = (
+            f"held-out errors withheld: {grouped(withheld, len(held), 'planes', longest=150)}; one smooth field of rays through all "
+            f"is used, open by {bound.mm:.2g} mm or {bound.px:.2g} px (one sigma)"
+        )
+        (open_ if bound.px > OPEN_PX else notes).append(
+            f"{told}: show each part of the image at three stand-offs to test it"
+        )
+    return open_, notes
 
 
 def judge_freehand(
@@ -198,7 +240,8 @@ def _row(seen: MeasuredPlane, held: HeldOut | None = None, **figures: float) -> 
         **{name: figures.get(name, 0 if name == "used" else NAN) for name in names},
         "heldout_mm": NAN if held is None else held.rms_mm,
         "heldout_px": NAN if held is None else held.rms_px,
-        "heldout_bias_mm": None if held is None or not jig else held.bias_mm.tolist(),
+        "heldout_why": held.why if held is not None and held.why else None,
+        "heldout_bias_mm": None if held is None or not jig or held.why else held.bias_mm.tolist(),
         "between": None if held is None or not jig else held.between,
     }
 
@@ -283,12 +326,13 @@ def _verdict(
     *,
     planes: int,
     open_: Sequence[str] = (),
+    notes: Sequence[str] = (),
 ) -> Verdict:
-    """Faults, limits that do not hold, and what is left open (``open_``) each end in "not passed"."""
+    """Faults, limits that do not hold, and what is left open (``open_``) each end in "not passed"; ``notes`` are told."""
     failed = [*[str(fault["remedy"]) for fault in faults if fails(fault)], *open_]
     failed += _beyond(plan, seen, lasers, content["ray_mm"])
     passed = not failed
-    why = "; ".join(failed) if failed else _praise(plan, planes, len(faults))
+    why = "; ".join([*failed, *notes] if failed else [*notes, _praise(plan, planes, len(faults))])
     content = {
         "passed": passed,
         "why": why,
@@ -307,7 +351,8 @@ def _beyond(plan: CalibrationPlan, seen: list[MeasuredPlane], lasers: dict[str, 
     limit = plan.accept.get("ray_mm")
     if limit is not None and not np.isfinite(ray_mm):
         failed.append(
-            "accept.ray_mm cannot be tested: held-out rays need three planes with an origin, or four freehand views; add one"
+            "accept.ray_mm cannot be tested: held-out rays need three planes with an origin that show the same part of the image, or four "
+            "freehand views; add one"
         )
     elif limit is not None and ray_mm > limit:
         failed.append(

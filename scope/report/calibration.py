@@ -201,7 +201,7 @@ def _judged(found: Calibration) -> list[list[str]]:
                      f"under {limit:g} mm (accept)" if limit else "under a tenth of the tolerance of the work",
                      "check stand-offs and seats; add a plane"])  # fmt: skip
         rows.append(["agreement of the planes (inter-plane)", f"{number(result['interplane_px'])} px",
-                     "about the fit error over the root of the spots per term", "see the faults; measure the stand-offs again"])  # fmt: skip
+                     f"about {number(result['interplane_expected_px'])} px, as the maps' own errors make it", "see the faults; measure the stand-offs again"])  # fmt: skip
     for name, laser in result["lasers"].items():
         rows.append([f"laser {name}: points about the sheet", f"{number(laser['rms_mm'])} mm", "under a tenth of the stripe's width",
                      "expose so that the stripe is not clipped; take laser-off images"])  # fmt: skip
@@ -216,6 +216,8 @@ def _add_held_out(page: Page, result: dict[str, Any]) -> None:
             where = "freehand" if bias is None else "between others" if plane["between"] else "outermost: extrapolated"
             rows.append([plane["name"], number(plane["heldout_mm"]), number(plane["heldout_px"]),
                          "-" if bias is None else ", ".join(f"{b:+.4f}" for b in bias), where])  # fmt: skip
+        elif plane.get("heldout_why"):
+            rows.append([plane["name"], "-", "-", "-", f"withheld: {plane['heldout_why']}"])
     if rows:
         page.heading("Held out: the rays of the others on each plane")
         page.text(
