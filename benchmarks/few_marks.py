@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.shared import head, row
 from calibration.errors import CalibrationError
 from calibration.geometry import Array, Pose
-from calibration.rays import Order, PlaneMarks, TwoPlaneFit, fit_two_plane, rms
+from calibration.rays import Order, PlaneMarks, TwoPlaneFit, find_bad_marks, fit_two_plane, rms
 from calibration.verification import expected_interplane_px, find_faults, interplane
 
 SIZE = (1280, 960)
@@ -104,7 +104,8 @@ def main() -> None:
                 continue
         own.append(left_out_px(fit))
         ratio.append(own[-1] / np.nanmin(fixed))
-        false += bool(find_faults(fit.marks, field=fit.joint.field))
+        marks = sum(int(find_bad_marks(p).rows.sum()) for p in made.planes)
+        false += bool(marks or find_faults(fit.marks, field=fit.joint.field))
         found = interplane(fit.camera, fit.marks)
         expected = expected_interplane_px(fit, found)
         unknown += not np.isfinite(expected)
