@@ -6,6 +6,7 @@ import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, fields
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -140,6 +141,20 @@ class LaserDesign:
         return self
 
 
+LARGER = 1.1  # times a spot that a fiducial must be to be told from it
+
+
+def unlike_itself(cells: tuple[Cell, ...]) -> bool:
+    """Whether a pattern of cells differs, up to a shift, from each of its seven turns and reflections on a square lattice."""
+    places = sorted(set(cells))
+    own = [(a - places[0][0], b - places[0][1]) for a, b in places]
+    for flip, down, across in product((False, True), (1, -1), (1, -1)):
+        turned = sorted((down * (b if flip else a), across * (a if flip else b)) for a, b in places)
+        if [(a - turned[0][0], b - turned[0][1]) for a, b in turned] == own and (flip, down, across) != (False, 1, 1):
+            return False
+    return True
+
+
 @dataclass(frozen=True, slots=True, config=_STRICT)
 class JigDesign:
     """Spot targets at known stand-offs, centred on the view, and the laser on a blank plate at each."""
@@ -182,6 +197,15 @@ class JigDesign:
             raise ValueError("fiducials and fiducial_diameter come together; give both or neither")
         if any(row >= self.rows or column >= self.columns for row, column in self.fiducials):
             raise ValueError(f"a fiducial lies outside {self.rows} rows and {self.columns} columns counted from 0")
+        if self.fiducial_diameter is not None and self.fiducial_diameter <= LARGER * self.diameter:
+            raise ValueError(
+                f"fiducial_diameter {self.fiducial_diameter:g} must exceed diameter {self.diameter:g} by more than 10 %"
+            )
+        if self.fiducials and not unlike_itself(self.fiducials):
+            raise ValueError(
+                f"fiducials {[list(cell) for cell in self.fiducials]} look the same after a turn or a reflection; the grid could not be "
+                "told from its own image: choose three or more that form an L with unequal arms"
+            )
         if len(set(self.names)) < len(self.stand_offs):
             raise ValueError("two stand_offs are the same; give each once")
         return self

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from calibration.errors import FileError
 from calibration.geometry import Array, fit_plane
+from scope.simulation.fiducials import check_fiducials
 from scope.simulation.rendering import disk_centroids
 from scope.simulation.rig_design import (
     MeshDesign,
@@ -109,6 +110,7 @@ def simulate(
 
     else:
         rig = VirtualRig.of(designed)
+        check_fiducials(rig)
 
         def write(folder: Path) -> Simulation:
             return _write(rig, folder, out, rng, on_image, threads)
