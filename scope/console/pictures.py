@@ -22,7 +22,7 @@ def viewer_page(cloud: ScanCloud, name: str) -> str:
     page = Page(name)
     page.cloud(cloud.points, cloud.points[:, 2], "Coloured by z. Drag to turn, wheel to zoom, shift-drag to move")
     bare = (
-        "<style>html,body,.page,main,figure{margin:0!important;padding:0!important;max-width:none!important;width:100%!important;"
+        "<style>html,body{background:#10151c!important}main{gap:0!important}html,body,.page,main,figure{margin:0!important;padding:0!important;max-width:none!important;width:100%!important;"
         "display:block!important;border:0!important;overflow:hidden}h1,nav,footer,figcaption{display:none!important}"
         ".cloud{width:100vw!important;height:100vh!important;max-height:none!important;border-radius:0!important}</style>"
     )

@@ -50,7 +50,7 @@ class Served:
                     "frames"
                 ):
                     return
-            except (urllib.error.URLError, ConnectionError, TimeoutError):
+            except (urllib.error.URLError, ConnectionError, TimeoutError, ValueError):
                 pass
             time.sleep(0.2)
         self.process.kill()

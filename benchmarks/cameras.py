@@ -1,0 +1,271 @@
+"""Cameras on real protocols: frames that came, frames lost, memory; and a console that is killed at random moments.
+
+python -m benchmarks.cameras gige --frames 2000      Aravis's fake GigE Vision camera on loopback
+python -m benchmarks.cameras pylon --frames 2000     pylon's emulator
+python -m benchmarks.cameras live --rate 30          a real-time camera of rendered frames while every frame is ranged
+python -m benchmarks.cameras kill --times 20         the console's process killed while it scans
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+DESIGN = """
+format = 1
+[camera]
+size = [{columns}, {rows}]
+focal_px = {focal}
+centre_px = [{cx}, {cy}]
+[laser]
+origin = [0.0, -150.0, 8.0]
+through = [0.0, 0.0, 340.0]
+width = 0.4
+[jig]
+stand_offs = [300.0, 340.0, 380.0]
+rows = 11
+columns = 15
+pitch = 16.0
+diameter = 6.0
+fiducials = [[5, 7], [5, 9], [2, 7]]
+fiducial_diameter = 9.0
+images = 1
+laser_images = 1
+[[object]]
+solid = "sphere"
+radius = 20.0
+origin = [-35.0, 0.0, 352.0]
+[[object]]
+solid = "plane"
+origin = [0.0, 0.0, 372.0]
+[motion]
+kind = "linear"
+direction = [0.0, 1.0, 0.0]
+start = -12.0
+step = 0.5
+frames = 48
+"""
+
+
+def memory() -> float:
+    """MiB resident now."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def read(driver: str, frames: int, **settings: object) -> None:
+    """Read frames and print what came, what was lost, and memory."""
+    from scope.cameras import Grabber, open_camera
+    from scope.session import CameraSettings
+
+    camera = open_camera(CameraSettings(driver, **settings))  # type: ignore[arg-type]
+    grabber = Grabber(camera)
+    grabber.start()
+    began, after = time.perf_counter(), 0.0
+    number = -1
+    for k in range(frames):
+        shot = grabber.next()
+        if shot is None:
+            break
+        number = shot.number
+        if k == frames // 10:
+            after = memory()
+    seconds = time.perf_counter() - began
+    lost = grabber.camera.dropped + grabber.lost
+    print(f"{driver}: {k + 1} frames of {camera.info.size} came in {seconds:.0f} s ({(k + 1) / seconds:.0f}/s), last number {number}, "
+          f"{lost} lost and counted, {number + 1 - (k + 1) - lost} lost and not counted; memory {after:.0f} MiB after a tenth, {memory():.0f} at the end")  # fmt: skip
+    grabber.stop()
+
+
+def gige(frames: int) -> None:
+    server = subprocess.Popen(
+        [str(shutil.which("arv-fake-gv-camera-0.8")), "-i", "127.0.0.1", "-s", "BENCH"], stdout=subprocess.DEVNULL
+    )
+    try:
+        time.sleep(1.0)
+        read("aravis", frames, id="Aravis-Fake-BENCH", rate=100.0, exposure_us=2000.0, timeout_s=20.0)
+    finally:
+        server.kill()
+
+
+def pylon(frames: int) -> None:
+    os.environ["PYLON_CAMEMU"] = "1"
+    read("basler", frames, rate=100.0, exposure_us=1000.0, timeout_s=20.0)
+
+
+class RealTime:
+    """A camera that exposes at its rate whether or not anybody reads, with a few buffers, as hardware has."""
+
+    waits = False
+    switches_laser = False
+    settings: dict[str, float] = {}  # noqa: RUF012
+
+    def __init__(self, images: list, rate: float, frames: int, buffers: int = 24) -> None:
+        from scope.cameras import CameraInfo
+
+        self.info = CameraInfo("real-time", "0", "rendered before", (images[0].shape[1], images[0].shape[0]))
+        self.images, self.rate, self.frames, self.buffers = images, rate, frames, buffers
+        self.dropped, self.next, self.began = 0, 0, 0.0
+
+    def start(self) -> None:
+        """Begin to expose."""
+        self.began = time.monotonic()
+
+    def read(self):
+        """Next frame that is still in a buffer."""
+        from scope.cameras import Shot
+
+        oldest = int((time.monotonic() - self.began) * self.rate) - self.buffers
+        if oldest > self.next:
+            self.dropped += oldest - self.next
+            self.next = oldest
+        if self.next >= self.frames:
+            return None
+        time.sleep(max(0.0, self.began + self.next / self.rate - time.monotonic()))
+        k, self.next = self.next, self.next + 1
+        turn = k % (2 * len(self.images) - 2)
+        return Shot(self.images[min(turn, 2 * len(self.images) - 2 - turn)], k, k / self.rate)
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+def live(rate: float, frames: int, size: tuple[int, int]) -> None:
+    from scope.calibrating import calibrate
+    from scope.cameras import CameraSource, Grabber
+    from scope.scanning import gathered, open_scan
+    from scope.session import image_files, read_capture, read_image
+    from scope.simulation import simulate
+
+    columns, rows = size
+    with tempfile.TemporaryDirectory() as name:
+        home = Path(name)
+        scale = columns / 640.0
+        text = DESIGN.format(columns=columns, rows=rows, focal=700.0 * scale, cx=columns / 2, cy=rows / 2)
+        (home / "design.toml").write_text(text, encoding="utf-8")
+        began = time.perf_counter()
+        simulate(home / "design.toml", home / "s")
+        rendered = time.perf_counter() - began
+        rig = calibrate(home / "s" / "calibration.toml").rig
+        images = [read_image(path) for path in image_files(home / "s" / "frames")]
+        motion = '[motion]\nkind = "linear"\nmoves = "object"\ndirection = [0, 1, 0]\nstep = 0.5\n'
+        (home / "live.toml").write_text(
+            f'format = 1\nframes = {frames}\n[camera]\ndriver = "aravis"\nrate = {rate}\n{motion}', encoding="utf-8"
+        )
+        plan = read_capture(home / "live.toml")
+        for warm in (True, False):
+            grabber = Grabber(RealTime(images, rate, 40 if warm else frames))
+            grabber.start()
+            source = CameraSource(plan, grabber, None, None)
+            setup, _ = open_scan(home / "live.toml", rig, source=source)
+            began = time.perf_counter()
+            found = gathered(setup, source)
+            seconds = time.perf_counter() - began
+        lost = grabber.camera.dropped + grabber.lost
+        print(f"live {columns} x {rows} at {rate:g}/s: {found.frames} of {frames} frames ranged in {seconds:.1f} s, {lost} lost; the machine renders "
+              f"{48 / rendered:.1f}/s (with the jig); load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")  # fmt: skip
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def started(session: Path, design: Path) -> tuple[subprocess.Popen[bytes], str, float]:
+    """Console, its address, and s until the first picture."""
+    port = free_port()
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    began = time.perf_counter()
+    command = [sys.executable, "-c", "from cli.main import main; main()", "console", "--session", str(session), "--simulate", str(design),
+               "--no-show", "--port", str(port), "-q"]  # fmt: skip
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    link = f"http://127.0.0.1:{port}"
+    while time.perf_counter() - began < 180:
+        try:
+            with urllib.request.urlopen(f"{link}/frame.jpg", timeout=10) as answer:  # noqa: S310
+                if answer.status == 200:
+                    return process, link, time.perf_counter() - began
+        except OSError:
+            time.sleep(0.05)
+    raise SystemExit("the console does not start")
+
+
+def kill(times: int, seed: int) -> None:
+    """Killed (SIGKILL) at random moments of a scan: what the folder holds is ranged by the command's function."""
+    from scope.calibrating import calibrate
+    from scope.scanning import run_scan
+    from scope.simulation import simulate
+
+    rng = random.Random(seed)
+    with tempfile.TemporaryDirectory() as name:
+        home = Path(name)
+        (home / "design.toml").write_text(
+            DESIGN.format(columns=640, rows=480, focal=700.0, cx=320, cy=240), encoding="utf-8"
+        )
+        simulate(home / "design.toml", home / "s")
+        calibrate(home / "s" / "calibration.toml").rig.save(home / "rig.json")
+        first, usable, worst = [], 0, 0
+        for k in range(times):
+            session = home / f"session{k}"
+            session.mkdir()
+            shutil.copyfile(home / "rig.json", session / "rig.json")
+            process, link, seconds = started(session, home / "design.toml")
+            first.append(seconds)
+            body = json.dumps({"job": "cut"}).encode()
+            request = urllib.request.Request(f"{link}/api/v1/scan", body, {"Content-Type": "application/json"})  # noqa: S310
+            urllib.request.urlopen(request, timeout=60).close()  # noqa: S310
+            frames = session / "scans" / "cut" / "frames"
+            until = rng.randint(2, 45)
+            end, done = time.perf_counter() + 120, 0
+            while time.perf_counter() < end and len(list(frames.glob("*.png"))) < until:
+                time.sleep(0.01)
+            with urllib.request.urlopen(f"{link}/api/v1/job/cut", timeout=20) as answer:  # noqa: S310
+                done = int(json.load(answer)["done"])
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            try:
+                found = run_scan(session / "scans" / "cut" / "capture.toml", session / "rig.json")
+            except Exception as error:  # noqa: BLE001
+                print(f"killed with {len(list(frames.glob('*.png')))} frames: {error}")
+                continue
+            usable += found.points > 0
+            worst = max(worst, done - found.frames)
+        print(f"killed {times} times while scanning: {usable} sessions usable by scope scan, at most {max(worst, 0)} frames that had been told of missing; "
+              f"first picture after {min(first):.1f} to {max(first):.1f} s; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=["gige", "pylon", "live", "kill"])
+    parser.add_argument("--frames", type=int, default=2000)
+    parser.add_argument("--rate", type=float, default=30.0)
+    parser.add_argument("--size", type=int, nargs=2, default=(1280, 960))
+    parser.add_argument("--times", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    match given.what:
+        case "gige":
+            gige(given.frames)
+        case "pylon":
+            pylon(given.frames)
+        case "live":
+            live(given.rate, given.frames, tuple(given.size))
+        case "kill":
+            kill(given.times, given.seed)
+
+
+if __name__ == "__main__":
+    main()
