@@ -1,0 +1,27 @@
+"""Laws of how a command behaves beside others on a busy machine."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+CODE = """
+import os, sys
+from cli.main import main
+sys.argv = ["scope", "--version"]
+try:
+    main()
+finally:
+    print("numpy" in sys.modules, os.environ["OPENBLAS_NUM_THREADS"], file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize(("given", "taken"), [(None, "1"), ("3", "3")])
+def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise(given: str | None, taken: str) -> None:
+    around = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    around |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    ran = subprocess.run([sys.executable, "-c", CODE], env=around, capture_output=True, text=True, check=False)
+    assert ran.stderr.split() == ["False", taken]  # numpy, which reads it once, comes later
