@@ -84,7 +84,7 @@ def random_design(rng: np.random.Generator, *, window: bool, lens: bool = False)
             tuple(float(z) for z in np.round(np.linspace(near, near + depth, int(rng.integers(4, 6))), 1)), 13, 17, pitch, 0.42 * pitch,
             fiducials=((6, 8), (6, 10), (3, 8)), fiducial_diameter=0.63 * pitch,
         ),
-        window=WindowDesign(10.0, 1.52, (float(rng.uniform(-15, 15)), float(rng.uniform(-15, 15))), 60.0) if window else None,
+        window=WindowDesign(10.0, 1.52, (float(rng.uniform(-15, 15)), float(rng.uniform(-15, 15))), 100.0) if window else None,
     )  # fmt: skip
 
 
