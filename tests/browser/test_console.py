@@ -106,6 +106,7 @@ def browser() -> Iterator[Any]:
     driver.quit()
 
 
+FITS = "return document.documentElement.scrollWidth <= arguments[0]"
 BUTTONS = "return [...document.querySelectorAll('button')].filter(b => b.innerText.trim() === arguments[0])"
 
 
@@ -145,7 +146,7 @@ def keep(browser: Any, name: str) -> None:
             {"features": [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]},
         )
         time.sleep(0.6)
-        assert browser.execute_script("return document.documentElement.scrollWidth") <= width, (name, width)
+        until(lambda width=width: browser.execute_script(FITS, width), seconds=15)
         if KEEP:
             browser.save_screenshot(str(Path(KEEP) / f"{name}-{'narrow-dark' if dark else 'wide'}.png"))
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

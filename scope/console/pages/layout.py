@@ -32,7 +32,7 @@ body{color:var(--text);background:var(--page);font:15px/1.5 system-ui,sans-serif
 .page{width:100%;max-width:82rem;margin:0 auto;padding:.8rem 1rem 2rem;gap:.8rem}
 .two{display:grid;grid-template-columns:minmax(0,1fr);gap:1rem;width:100%}
 @media(min-width:64rem){.two{grid-template-columns:minmax(0,1.9fr) minmax(18rem,1fr)}}
-.box{border:1px solid var(--line);border-radius:8px;padding:.8rem 1rem;width:100%;min-width:0}
+.box{border:1px solid var(--line);border-radius:8px;padding:.8rem 1rem;width:100%;min-width:0;overflow-x:clip}
 .head{font-size:1.05rem;font-weight:650;margin:0 0 .4rem;line-height:1.3}
 .live{width:100%;height:auto;display:block;background:#10151c;border-radius:8px;min-height:8rem;cursor:crosshair}
 .live:focus-visible,.bar a:focus-visible,button:focus-visible{outline:3px solid var(--link);outline-offset:2px}
