@@ -126,10 +126,13 @@ def killing(every: float, stop: threading.Event) -> None:
 def run(captures: list[Path], rig: Path, table: Path, jobs: int, *, kill: float = 0.0) -> Day:
     stop = threading.Event()
     killer = threading.Thread(target=killing, args=(kill, stop), daemon=True)
-    if kill:
-        killer.start()
+
+    def tick(done: int, _total: int) -> None:
+        if kill and done == 1:  # the workers are up
+            killer.start()
+
     try:
-        return run_day(captures, rig, parse_steps(DO), table, run_words, options=DayOptions(jobs=jobs))
+        return run_day(captures, rig, parse_steps(DO), table, run_words, options=DayOptions(jobs=jobs), on_session=tick)
     finally:
         stop.set()
 

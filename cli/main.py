@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import sys
 from typing import Annotated
 
 import typer
 
+from calibration.threads import MOST, claim_threads
 from cli import (
     batch,
     calibrate,
@@ -42,11 +44,19 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def root(
-    version: Annotated[
+    version: Annotated[  # noqa: ARG001 (its callback answers)
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            "--threads", min=1, max=1024, help="Of OpenBLAS, OpenCV, numba and SCOPE itself; also after the command."
+        ),
+    ] = None,
 ) -> None:
     """Lengths are mm, angles degrees, pixels (u, v) = (column, row) from the centre of the first pixel."""
+    if threads is not None:
+        claim_threads(threads, os.environ)
 
 
 for _commands in (
@@ -76,3 +86,27 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with libraries_silenced():
         app()
+
+
+def threads_first(argv: list[str]) -> list[str]:
+    """Words of a command line with ``--threads N`` in front, wherever it stood; the last one counts."""
+    words, found = argv[:1], list[str]()
+    rest = iter(argv[1:])
+    for word in rest:
+        if word == "--":
+            words += [word, *rest]
+        elif word == "--threads":
+            found = [word, *([value] if (value := next(rest, None)) is not None else [])]
+        elif word.startswith("--threads="):
+            found = [word]
+        else:
+            words.append(word)
+    return [*words[:1], *found, *words[1:]]
+
+
+def _asked(argv: list[str]) -> int | None:
+    """Threads of a command line whose first words are ``--threads N`` or ``--threads=N``; what is no count is refused later."""
+    words = argv[1].split("=") + argv[2:3] if len(argv) > 1 else []
+    if len(words) < 2 or words[0] != "--threads" or not words[1].isdecimal():
+        return None
+    return int(words[1]) if 1 <= int(words[1]) <= MOST else None

@@ -6,6 +6,7 @@ own serialisation: connect to schedulers that you trust only.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +26,7 @@ AHEAD = 2  # sessions handed to each worker beyond the one that it does
 DEATHS = 20  # of its workers, that a session may see before it is given up
 _TOPIC = "scope-batch"
 _PATIENCE = 60.0  # s, for a scheduler that restarts
+_WATCH = 10.0  # s between looks at whether all workers are there
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,27 +230,45 @@ def _client(options: DayOptions) -> Iterator[tuple[Any, int]]:
         raise MissingLibraryError(
             f"scope batch needs the package {error.name}; install it: pip install 'scope-scanner[cluster]'"
         ) from error
-    import logging
-
-    with dask.config.set({"distributed.scheduler.allowed-failures": DEATHS, "distributed.admin.log-length": 100}):
-        cluster = None
-        if not options.scheduler:
-            cluster = distributed.LocalCluster(
-                n_workers=options.jobs, threads_per_worker=1, processes=True, memory_limit=0, dashboard_address=None,
-                silence_logs=logging.CRITICAL,
-            )  # fmt: skip
+    settings = {"distributed.scheduler.allowed-failures": DEATHS, "distributed.admin.log-length": 100}
+    with dask.config.set(settings), _cluster(distributed, options) as address:
         try:
-            client = distributed.Client(cluster or options.scheduler, timeout=20, set_as_default=False)
+            client = distributed.Client(address, timeout=20, set_as_default=False)
         except (OSError, ValueError) as error:
             raise FileError(
                 f"--scheduler {options.scheduler}: no Dask scheduler answers there ({str(error)[:80]}); start one: dask scheduler"
             ) from error
-        try:
-            with client:
-                yield client, _ready(client, options)
-        finally:
-            if cluster is not None:
-                cluster.close()
+        with client:
+            yield client, _ready(client, options)
+
+
+@contextmanager
+def _cluster(distributed: Any, options: DayOptions) -> Iterator[Any]:
+    """Address of the scheduler that was named, or processes on this machine, which are started anew where they stay away."""
+    import logging
+
+    if options.scheduler:
+        yield options.scheduler
+        return
+    try:
+        cluster = distributed.LocalCluster(
+            n_workers=options.jobs, threads_per_worker=1, processes=True, memory_limit=0, dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+        )  # fmt: skip
+    except (OSError, RuntimeError) as error:
+        raise MeasurementError(f"{options.jobs} workers did not start ({str(error)[:80]}); try fewer --jobs") from error
+    stop = threading.Event()
+
+    def keep_up() -> None:
+        while not stop.wait(_WATCH):
+            cluster.scale(options.jobs)
+
+    threading.Thread(target=keep_up, daemon=True).start()
+    try:
+        yield cluster
+    finally:
+        stop.set()
+        cluster.close()
 
 
 def _ready(client: Any, options: DayOptions) -> int:

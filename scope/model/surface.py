@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.geometry import Array, Ints
+from calibration.threads import own_threads
 from scope.errors import MeasurementError
 from scope.optional import import_open3d
 
@@ -17,7 +18,7 @@ class Surface:
 
     def __init__(self, vertices: Array, faces: Ints) -> None:
         self._o3d = import_open3d()
-        self._scene = self._o3d.t.geometry.RaycastingScene()
+        self._scene = self._o3d.t.geometry.RaycastingScene(nthreads=own_threads(0))  # 0: all cores
         # single precision is finest near the origin
         self._shift = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self._scene.add_triangles((vertices - self._shift).astype(np.float32), faces.astype(np.uint32))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from calibration.errors import FileError
+from calibration.threads import own_threads
 from ranging.background import Image
 from ranging.errors import RangingError
 from scope.session.capture import Capture
@@ -18,7 +19,7 @@ from scope.session.images import read_image
 T = TypeVar("T")
 AHEAD = 20  # frames held at once, at most: while one run of frames is ranged, the threads go on with the next
 HELD = 256 << 20  # bytes of images held so, or four frames
-THREADS = 2
+THREADS = 2  # that load and work ahead, unless told (--threads)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -279,7 +280,7 @@ def frames_in_memory(image: Image | None, most: int) -> int:
 
 def in_order(source: Source, work: Callable[[Frame], T], *, first: int = 0, ahead: int = AHEAD) -> Iterator[T]:
     """Results of ``work`` on every frame, in order; loading and work run ahead in threads, few frames are held."""
-    with ThreadPoolExecutor(max_workers=THREADS) as pool:
+    with ThreadPoolExecutor(max_workers=own_threads(THREADS)) as pool:
         waiting: deque[Future[T | None]] = deque()
 
         def job(load: Callable[[], Frame | None]) -> T | None:
