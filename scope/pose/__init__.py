@@ -3,7 +3,7 @@
 In: a cloud, with where camera and laser stood if it knows, and a `Model`.
 Out: `PoseResult`: cloud_from_model, covariance, runner-up and margin; refused where another pose explains as
     much.
-Read: placed, estimate, answer, segmentation, search, piece, visibility, decision, rim, borders, uncertainty,
+Read: placed, estimate, answer, segmentation, glance, search, piece, visibility, decision, rim, borders, uncertainty,
     wording, several.
 """
 

@@ -26,6 +26,7 @@ class PoseOptions:
     least_covered: float = 0.75  # share of the surface that should have been seen and was
     most_blocked: float = 0.05  # share of the points seen through the model
     several: bool = True  # look for further equal parts
+    harder: bool = True  # search again with more starts where the first search leaves a doubt
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from calibration.geometry import Pose
+from calibration.geometry import Ints, Pose
 from scope.cloud import Region, ScanCloud, refuse_sheet
 from scope.errors import MeasurementError
 from scope.model import Model, Surface
 from scope.pose import segmentation
 from scope.pose.answer import Candidate, PoseOptions, PoseResult
+from scope.pose.glance import glance
 from scope.pose.piece import locate
+
+LIKE, UNLIKE = 0.1, 0.4  # unexplained at a glance, beyond that of the part that was found
 
 __all__ = ["Candidate", "PoseOptions", "PoseResult", "estimate_pose"]
 
@@ -65,8 +69,8 @@ def estimate_pose(
         pieces = segmentation.clusters(
             cloud, prepared.diameter, float(sides[1] * sides[2]), width=float(sides[1]), region=region, tables=tables
         )
-        pieces = pieces if chosen.several else pieces[:1]
-        found = [locate(cloud, rows, prepared, surface, initial, chosen) for rows in pieces[:12]]
+        pieces = pieces[:12] if chosen.several else pieces[:1]
+        found = _in_order(cloud, pieces, prepared, surface, initial, chosen)
         return sorted(found, key=lambda r: (not r.found, -len(r.points)))
 
     results = tried(tables=region is None)
@@ -82,6 +86,36 @@ def estimate_pose(
         if result is not best and result.found and not any(_overlap(r, result) for r in (best, *others)):
             others.append(result)
     return replace(best, others=tuple(others))
+
+
+def _in_order(
+    cloud: ScanCloud,
+    pieces: Sequence[Ints],
+    model: Model,
+    surface: Surface,
+    initial: Pose | None,
+    options: PoseOptions,
+) -> list[PoseResult]:
+    """Answers for the pieces of a scan, the most promising first; once one is the part, the others must look like it too.
+
+    What a glance leaves as unexplained decides: a piece that it explains much worse than the one that was found is not searched, and
+    one in between without the second, harder search. Until a part is found, every piece is searched in earnest.
+    """
+    if len(pieces) == 1:
+        return [locate(cloud, pieces[0], model, surface, initial, options)]
+    looks = [glance(cloud, rows, model) for rows in pieces]
+    found: list[PoseResult] = []
+    held: list[tuple[float, int]] = []  # glance and size of the pieces that were found to be the part
+    for k in np.argsort(looks, kind="stable"):
+        # a fragment that fits anywhere says nothing about a piece that is much larger
+        best = min((look for look, size in held if size >= 0.5 * len(pieces[k])), default=np.inf)
+        if looks[k] > best + UNLIKE:
+            continue
+        search = options if looks[k] <= best + LIKE else replace(options, harder=False)
+        found.append(locate(cloud, pieces[k], model, surface, initial, search))
+        if found[-1].found:
+            held.append((looks[k], len(pieces[k])))
+    return found
 
 
 def _overlap(a: PoseResult, b: PoseResult) -> bool:

@@ -68,7 +68,7 @@ def locate(
         found = _log_likelihoods(model, surface, view, sigma[chosen], visibility, background, poses, options, spacing)
         if not rated or found[0].cost < rated[0].cost:
             rated = found
-        if rated[0].explained >= CLEAR_EXPLAINED and not rated[0].covered < CLEAR_COVERED:
+        if not options.harder or (rated[0].explained >= CLEAR_EXPLAINED and not rated[0].covered < CLEAR_COVERED):
             break  # else look harder, before saying no and before believing a pose that leaves much unexplained
     return _decide(cloud, rows, model, surface, rated, sigma, camera, visibility, options)
 
