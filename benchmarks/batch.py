@@ -61,6 +61,7 @@ step = 2.0
 frames = 12
 off_images = 2
 """
+KILLED: list[float] = []  # when a worker was
 DO = "scan; check -a sphere:d=40 --region box:-60,-10,-30,30"
 
 
@@ -121,6 +122,7 @@ def killing(every: float, stop: threading.Event) -> None:
         alive = [nanny.pid for nanny in list(Nanny._instances) if nanny.pid]
         if alive:
             os.kill(int(rng.choice(alive)), signal.SIGKILL)
+            KILLED.append(time.monotonic())
 
 
 def run(captures: list[Path], rig: Path, table: Path, jobs: int, *, kill: float = 0.0) -> Day:
@@ -138,8 +140,8 @@ def run(captures: list[Path], rig: Path, table: Path, jobs: int, *, kill: float 
 
 
 def day(count: int, jobs: list[int], kill: float) -> None:
-    print("| workers | killed every | sessions | failed | begun again | overhead over own times | table |")
-    print("| --- | --- | --- | --- | --- | --- | --- |")
+    print("| workers | killed every | killed | sessions | failed | begun again | overhead over own times | table |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     with tempfile.TemporaryDirectory() as name:
         captures, rig = sessions(Path(name), count)
         first = ""
@@ -151,7 +153,7 @@ def day(count: int, jobs: list[int], kill: float) -> None:
             overhead = 100.0 * (done.seconds * done.workers / done.own_seconds - 1.0)
             same = "the same" if text == first else "ANOTHER"
             print(
-                f"| {workers} | {every:g} s | {len(done.rows)} | {done.failed} | {done.retried} | {overhead:.1f} % | {same} |",
+                f"| {workers} | {every:g} s | {len(KILLED)} | {len(done.rows)} | {done.failed} | {done.retried} | {overhead:.1f} % | {same} |",
                 flush=True,
             )
 

@@ -10,6 +10,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -171,7 +172,8 @@ def _outcomes(client: Any, workers: int, jobs: Sequence[Job], run: Run) -> Itera
 
     def hand(job: Job) -> Any:
         _await(client)
-        future = client.submit(_work, job, run, folder, pure=False, key=f"session-{job.number}-{lost[job.number]}")
+        with _there(client):
+            future = client.submit(_work, job, run, folder, pure=False, key=f"session-{job.number}-{lost[job.number]}")
         at_work[future] = job
         return future
 
@@ -179,7 +181,8 @@ def _outcomes(client: Any, workers: int, jobs: Sequence[Job], run: Run) -> Itera
     for _, job in zip(range(workers * (1 + AHEAD)), waiting, strict=False):
         line.add(hand(job))
     while at_work:
-        future = next(line)
+        with _there(client):
+            future = next(line)
         job = at_work.pop(future)
         outcome = _taken(future, job, lost)
         future.release()
@@ -209,15 +212,27 @@ def _taken(future: Any, job: Job, lost: Counter[int]) -> Outcome | None:
     return None
 
 
+_GONE = "the scheduler is gone; what was done is kept: start it and run the same command with --resume"
+
+
 def _await(client: Any) -> None:
     """Wait for a scheduler that restarts."""
     began = time.monotonic()
     while client.status != "running":
         if client.status in {"closed", "closing"} or time.monotonic() - began > _PATIENCE:
-            raise MeasurementError(
-                "the scheduler is gone; what was done is kept: start it and run the same command with --resume"
-            )
+            raise MeasurementError(_GONE)
         time.sleep(0.2)
+
+
+@contextmanager
+def _there(client: Any) -> Iterator[None]:
+    """Tell in a line that the scheduler has gone while it was asked."""
+    try:
+        yield
+    except (OSError, RuntimeError, CancelledError) as error:
+        if client.status == "running":
+            raise
+        raise MeasurementError(_GONE) from error
 
 
 @contextmanager
@@ -230,7 +245,12 @@ def _client(options: DayOptions) -> Iterator[tuple[Any, int]]:
         raise MissingLibraryError(
             f"scope batch needs the package {error.name}; install it: pip install 'scope-scanner[cluster]'"
         ) from error
-    settings = {"distributed.scheduler.allowed-failures": DEATHS, "distributed.admin.log-length": 100}
+    logs = (
+        "log-length",
+        "low-level-log-length",
+        "system-monitor.log-length",
+    )  # short: memory does not grow with the day
+    settings = {"distributed.scheduler.allowed-failures": DEATHS} | {f"distributed.admin.{name}": 100 for name in logs}
     with dask.config.set(settings), _cluster(distributed, options) as address:
         try:
             client = distributed.Client(address, timeout=20, set_as_default=False)
@@ -238,8 +258,22 @@ def _client(options: DayOptions) -> Iterator[tuple[Any, int]]:
             raise FileError(
                 f"--scheduler {options.scheduler}: no Dask scheduler answers there ({str(error)[:80]}); start one: dask scheduler"
             ) from error
-        with client:
+        with client, _silenced():
             yield client, _ready(client, options)
+
+
+@contextmanager
+def _silenced() -> Iterator[None]:
+    """Keep Dask's own talk of lost connections from stderr: what matters of it is told in a line."""
+    import logging
+
+    log = logging.getLogger("distributed")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 @contextmanager
@@ -252,7 +286,7 @@ def _cluster(distributed: Any, options: DayOptions) -> Iterator[Any]:
         return
     try:
         cluster = distributed.LocalCluster(
-            n_workers=options.jobs, threads_per_worker=1, processes=True, memory_limit=0, dashboard_address=None,
+            n_workers=options.jobs, threads_per_worker=1, processes=True, memory_limit=0, dashboard_address=":0",
             silence_logs=logging.CRITICAL,
         )  # fmt: skip
     except (OSError, RuntimeError) as error:

@@ -38,16 +38,20 @@ def journal(table: Path, *, begin: bool) -> Iterator[TextIO]:
     """Open the journal to append to it, emptied where a run begins anew."""
     path = journal_of(table)
     try:
-        with path.open("w" if begin else "a", encoding="utf-8") as stream:
-            stream.write("\n")  # after a line that was cut
-            yield stream
+        stream = path.open("w" if begin else "a", encoding="utf-8")
+    except OSError as error:
+        raise FileError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+    with stream:
+        note(stream, None)  # after a line that was cut
+        yield stream
+
+
+def note(stream: TextIO, row: Row | None) -> None:
+    """Append one row, on disk when this returns; None ends a line."""
+    try:
+        stream.write("\n" if row is None else json.dumps(row) + "\n")
+        stream.flush()
     except OSError as error:
         raise FileError(
-            f"{path}: could not be written ({error.strerror}); free space or choose another place"
+            f"{stream.name}: could not be written ({error.strerror}); free space, then use --resume"
         ) from error
-
-
-def note(stream: TextIO, row: Row) -> None:
-    """Append one row, on disk when this returns."""
-    stream.write(json.dumps(row) + "\n")
-    stream.flush()

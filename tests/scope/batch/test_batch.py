@@ -105,6 +105,18 @@ def test_a_scheduler_that_does_not_answer_is_told_in_a_line(tmp_path: Path) -> N
         )
 
 
+def test_a_scheduler_that_runs_already_gives_the_same(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    paths, tables = sources(tmp_path), [tmp_path / "there.csv", tmp_path / "here.csv"]
+    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0", silence_logs=50)
+    try:
+        run_day(paths, None, STEPS, tables[0], pretend, options=DayOptions(scheduler=cluster.scheduler_address))
+    finally:
+        cluster.close()
+    run_day(paths, None, STEPS, tables[1], pretend)
+    assert without_times(tables[0]) == without_times(tables[1])
+
+
 def test_the_digest_sees_every_input(copy_of_session: Callable[[], Session], tmp_path: Path) -> None:
     session = copy_of_session()
     model = tmp_path / "part.stl"
