@@ -93,7 +93,7 @@ def batch(
             write_rows(out, rows)
         say(f"wrote {out}", quiet=quiet)
         if report is not None:
-            write_text(report, day_page(day, f"SCOPE day {out.stem}", bounds))
+            write_text(report, day_page(day, f"SCOPE batch {out.stem}", bounds))
             say(f"wrote {report}", quiet=quiet)
     emit(day_result(day, bounds), as_json=as_json, text=day_text(day))
     if day.failed or day.doubtful:

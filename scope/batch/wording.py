@@ -37,7 +37,7 @@ def numbers_of(rows: Sequence[Row], name: str) -> list[float]:
 
 def figures_of_day(rows: Sequence[Row]) -> list[str]:
     """Columns that are figures: numbers in two rows or more, uncertainties left out."""
-    names = [n for n in columns_of(rows) if n not in HEAD and not n.endswith((".u", ".sd", ".uncertainty"))]
+    names = [n for n in columns_of(rows) if n not in HEAD and not n.endswith((".u", ".sd")) and ".uncertainty" not in n]
     return [name for name in names if len(numbers_of(rows, name)) >= 2]
 
 
@@ -139,17 +139,20 @@ def day_page(day: Day, title: str, limits: Limits | None = None) -> str:
     page.text(
         "sd: standard deviation between sessions. Limits: three sigma of the mean moving range; outside them a session stands out."
     )
+    judged = any("cp" in figure for figure in told.values())
     page.table(
-        ("figure", "n", "mean", "sd", "least", "greatest", "lower limit", "upper limit", "outside", "Cp", "Cpk"),
+        ("figure", "n", "mean", "sd", "least to greatest", "limits", "outside", *(("Cp", "Cpk") if judged else ())),
         [
-            [name, str(f["n"]), *(f"{x:.5g}" for x in (f["mean"], f["sd"], f["min"], f["max"], *f["control"])), str(f["outside"]),
-             *(f"{f[k]:.2f}" if k in f else "-" for k in ("cp", "cpk"))]
+            [name, str(f["n"]), f"{f['mean']:.5g}", f"{f['sd']:.2g}", *(f"{a:.5g} to {b:.5g}" for a, b in ((f["min"], f["max"]), f["control"])),
+             str(f["outside"]), *((f"{f[k]:.2f}" if k in f else "-" for k in ("cp", "cpk")) if judged else ())]
             for name, f in told.items()
         ],
     )  # fmt: skip
     _gauges(page, told)
     page.heading("Control charts")
-    for name, figure in list(told.items())[:_SHOWN]:
+    moving = {name: figure for name, figure in told.items() if figure["max"] > figure["min"]}
+    page.text(f"Of {len(moving)} figures that change over the day the first {_SHOWN} at most.")
+    for name, figure in list(moving.items())[:_SHOWN]:
         values = numbers_of(day.rows, name)
         at = np.arange(1.0, len(values) + 1.0)
         low, high = (np.full(len(values), y) for y in figure["control"])
