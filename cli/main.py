@@ -81,9 +81,10 @@ def main() -> None:
     """Run the command."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # read when OpenCV is first imported; SCOPE says what is wrong
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet, for the same reason
-    # Read when numpy is first imported. Its matrices are small here: threads that wait for each other gain nothing on an idle
+    # Before any of the libraries is loaded. Matrices are small here: threads that wait for each other gain nothing on an idle
     # machine, and on a busy one a calibration takes twice as long.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    sys.argv = threads_first(sys.argv)
+    claim_threads(_asked(sys.argv), os.environ)
     with libraries_silenced():
         app()
 
