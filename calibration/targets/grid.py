@@ -93,8 +93,10 @@ def label_grid(
     """
     least = 6
     if len(spots) < least:
+        small = [why for _, _, why in spots.rejected if "px across" in why]
+        told = f" ({len(small)} more are too small, e.g. {small[0]})" if small else ""
         raise CalibrationError(
-            f"found {len(spots)} spots; at least {least} of the grid of {target.rows} x {target.columns} are needed: "
+            f"found {len(spots)} spots{told}; at least {least} of the grid of {target.rows} x {target.columns} are needed: "
             "check exposure, focus, polarity and diameter"
         )
     target.check_fiducials()

@@ -25,6 +25,10 @@ _LEAST_TEXTURE = 0.0125  # of the contrast, one standard deviation: less is take
 _CUT = 4.0  # standard deviations at which a residual is cut off
 _SAMPLE = 60  # spots that are enough to tell how ragged the outlines are
 _LEAST_PIXELS = 9  # smaller specks are noise and are not even listed
+_FEW = 6  # spots that a target has at least: with fewer, smaller ones are looked for
+_SMALL = 5.5  # px, diameter of spots that may be fitted as blurred discs
+_SMALL_AREA = 45  # px^2
+_SMALLEST = 2.5  # px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +57,11 @@ class Spots:
 
     def __len__(self) -> int:
         return len(self.centroids)
+
+    @property
+    def columns(self) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """All but ``rejected``, in order."""
+        return self.centroids, self.covariance, self.diameter, self.contrast, self.blur, self.saturated
 
     def select(self, keep: Bools | NDArray[np.intp]) -> Spots:
         """The spots of a mask (N,) or of indices; ``rejected`` stays."""
@@ -91,7 +100,8 @@ def find_spots(
     noise : Noise, optional
         Noise of the camera; measured on plateaus and backgrounds of the spots themselves when not given.
     min_diameter : float
-        Smaller spots, px, are rejected.
+        Smaller spots, px, are rejected where there are larger ones; where there are none, spots of 2.5 px and more are
+        fitted as blurred discs.
 
     Returns
     -------
@@ -136,7 +146,60 @@ def find_spots(
     why[chosen] = late
     listed = tuple((float(middle[k, 0]), float(middle[k, 1]), str(why[k])) for k in np.flatnonzero(why != ""))
     kept = spots.select(keep)
+    # of marks about as large as the least that has an edge, some would be taken and some not
+    lost = int(np.char.startswith(why, "smaller than").sum())
+    if len(kept) < _FEW or (float(np.median(kept.diameter)) < _SMALL and lost > 0.05 * len(kept)):
+        tiny = _small_spots(light, clip, min_diameter)
+        if len(tiny) >= max(len(kept), _FEW) or not len(kept):
+            larger = tuple(each for each in listed if not each[2].startswith("smaller than"))
+            return Spots(*tiny.columns, (*tiny.rejected, *larger))
     return Spots(kept.centroids, kept.covariance, kept.diameter, kept.contrast, kept.blur, kept.saturated, listed)
+
+
+def _small_spots(light: NDArray[np.float32], clip: float, min_diameter: float) -> Spots:
+    """Spots of two and a half to about six pixels, which have no plateau: fitted as blurred discs, where there are six or more.
+
+    Specks of noise are as small: what differs from most in size, or is much fainter, is none of them.
+    """
+    from calibration.targets import _points as points
+    from calibration.targets import _spot_kernels as kernel
+    from calibration.targets._detect import spot_mask
+
+    nothing = np.zeros(0)
+    none = Spots(np.zeros((0, 2)), np.zeros((0, 2, 2)), nothing, nothing, nothing, nothing)
+    table = kernel.components(spot_mask(light), 1)[1]
+    area = table[:, kernel.AREA]
+    side = (
+        np.maximum(table[:, kernel.BOTTOM] - table[:, kernel.TOP], table[:, kernel.RIGHT] - table[:, kernel.LEFT]) + 1
+    )
+    middle = np.stack([table[:, kernel.SUM_U], table[:, kernel.SUM_V]], axis=1) / np.maximum(area, 1.0)[:, None]
+    peak = light[np.round(middle[:, 1]).astype(int), np.round(middle[:, 0]).astype(int)] - np.median(light)
+    tried = (area <= _SMALL_AREA) & (side <= 9) & (area >= 0.4 * side**2)
+    if tried.sum() < _FEW:
+        return none
+    tried &= peak > 0.25 * np.sort(peak[tried])[-_FEW]
+    if tried.sum() < _FEW:
+        return none
+    about = float(np.sqrt(4.0 * np.median(area[tried]) / np.pi))
+    found = points.fit_points(light, middle[tried], max(about, 2.0))
+    moved = np.linalg.norm(found.centre - middle[tried], axis=1)
+    told = points.judged(found, moved=moved, reach=1.5, fitted_for=2.0 * max(about, 2.0))
+    usual = float(np.median(found.contrast[[not why for why in told]])) if "" in told else 0.0
+    told = [
+        "much fainter than the others" if not w and c < 0.25 * usual else w
+        for w, c in zip(told, found.contrast, strict=True)
+    ]
+    good = np.array([not why for why in told], dtype=bool) & (
+        found.diameter + 2.0 * found.blur >= min(min_diameter, _SMALLEST)
+    )
+    place = np.where(np.isfinite(found.centre), found.centre, middle[tried])
+    rejected = tuple((float(u), float(v), why) for (u, v), why in zip(place, told, strict=True) if why)
+    column, row = np.round(place).astype(int).T
+    over = light[np.clip(row, 0, light.shape[0] - 1), np.clip(column, 0, light.shape[1] - 1)] >= clip
+    return Spots(
+        found.centre[good], found.covariance[good], found.diameter[good], found.contrast[good], found.blur[good],
+        over[good].astype(np.float64), rejected,
+    )  # fmt: skip
 
 
 def _no_spot(shapes: Array, table: Array, size: tuple[int, ...], min_diameter: float) -> NDArray[np.str_]:
