@@ -78,16 +78,12 @@ def _with_best_blur(light: NDArray[np.float32], start: Array, diameter: float) -
     """The fit with the blur that leaves least, and with the growth of the noise that it shows."""
     half = int(np.clip(np.ceil(1.3 * diameter + 3.0), 5, 14))
     some = np.linspace(0, len(start) - 1, min(len(start), _SAMPLE)).astype(np.intp)
+    middle: Array = np.rint(start).astype(np.float64)
     blur, least = _BLURS[len(_BLURS) // 2], np.inf
     for trial in _BLURS:
         if trial > 0.6 * diameter and np.isfinite(least):
             break
-        misfit = _fit(
-            _cut_out(light, np.asarray(np.round(start[some]), dtype=np.float64), half),
-            trial,
-            diameter,
-            (start - np.round(start))[some],
-        ).misfit
+        misfit = _fit(_cut_out(light, middle[some], half), trial, diameter, (start - middle)[some]).misfit
         worth = float(np.nanmedian(misfit)) if np.isfinite(misfit).any() else np.inf
         if worth < 0.99 * least:
             blur, least = trial, worth
