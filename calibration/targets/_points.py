@@ -87,13 +87,13 @@ def _with_best_blur(light: NDArray[np.float32], start: Array, diameter: float) -
         worth = float(np.nanmedian(misfit)) if np.isfinite(misfit).any() else np.inf
         if worth < 0.99 * least:
             blur, least = trial, worth
-    found = _fit(_cut_out(light, np.round(start), half), blur, diameter, start - np.round(start))
-    best = found._replace(centre=found.centre + np.round(start))
+    best = _fit(_cut_out(light, middle, half), blur, diameter, start - middle)
+    best = best._replace(centre=best.centre + middle)
     if best.rise > 0.0:  # photons make the mark noisier than its ground
-        centre = np.where(np.isfinite(best.centre), best.centre, start)
-        window = _cut_out(light, np.round(centre), half)
-        best = _fit(window, blur, diameter, centre - np.round(centre), best.rise)
-        best = best._replace(centre=best.centre + np.round(centre))
+        start = np.where(np.isfinite(best.centre), best.centre, start)
+        middle = np.rint(start).astype(np.float64)
+        best = _fit(_cut_out(light, middle, half), blur, diameter, start - middle, best.rise)
+        best = best._replace(centre=best.centre + middle)
     return best
 
 
