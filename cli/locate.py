@@ -51,6 +51,12 @@ def pose(
             help="JSON with robot_from_camera, units and convention: the pose is given for the robot too.",
         ),
     ] = None,
+    part_tolerance: Annotated[
+        float,
+        typer.Option(
+            "--part-tolerance", help="How far the right part's surfaces may lie from the mesh, mm; more: exit 3."
+        ),
+    ] = 0.1,
     deviation: Annotated[
         Path | None,
         typer.Option(
@@ -64,7 +70,7 @@ def pose(
 ) -> None:
     """Find a known part in a scan: position, orientation and how sure they are; exit 3 where the answer is not sure."""
     from calibration.atomic import require_folder
-    from scope.pose import BAD_DATA, poses_of, read_robot_from_camera, read_transform
+    from scope.pose import BAD_DATA, PoseOptions, poses_of, read_robot_from_camera, read_transform
 
     with user_errors():
         with _usage():
@@ -72,6 +78,9 @@ def pose(
             within = _region(region)
             if at not in {"last", "first"} and not at.isdecimal():
                 raise ValueError(f"--at {at!r} is neither last nor first nor the number of a frame")
+            if not 0 < part_tolerance < float("inf"):
+                raise ValueError(f"--part-tolerance {part_tolerance:g} must be positive, mm")
+        options = PoseOptions(part_tolerance=part_tolerance)
         require_folder(*(path for pair in outputs for path in pair))
         started = None if init is None else read_transform(init)
         robot = None if robot_from_camera is None else read_robot_from_camera(robot_from_camera)
@@ -79,10 +88,10 @@ def pose(
             say(f"warning: {robot.warning}", quiet=quiet)
         with progress("placing", quiet=quiet or len(clouds) == 1) as tick:
             found = []
-            for each, files in zip(
-                poses_of(clouds, model, region=within, at=at, initial=started, robot=robot, on_cloud=tick), outputs,
-                strict=True,
-            ):  # fmt: skip
+            answers = poses_of(
+                clouds, model, region=within, at=at, initial=started, robot=robot, options=options, on_cloud=tick
+            )
+            for each, files in zip(answers, outputs, strict=True):
                 if len(clouds) == 1 and each.error:
                     raise ScopeError(each.error)
                 _write(each, *files, alone=len(clouds) == 1, quiet=quiet)

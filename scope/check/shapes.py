@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calibration.geometry import Array, Bools, Ints
 from scope.errors import MeasurementError
-from scope.pose import patches
+from scope.model import patches
 
 CUT = 3.5  # robust standard deviations beyond which a point is no part of the artefact
 LEAST = 50  # points

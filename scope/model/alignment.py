@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from calibration.geometry import Array, Bools, Pose
+from calibration.geometry import Array, Bools, Ints, Pose
 from scope.model.surface import Surface
 
 TAILS = 6.0
@@ -29,19 +30,32 @@ class Fit:
     normal: Array  # (N, 3) of the surface there, cloud frame
 
 
-def refine(
-    surface: Surface,
-    pose: Pose,
-    points: Array,
-    sigma: Array,
-    camera: Array | None,
-    *,
-    reach: tuple[float, ...],
-    floor: float,
-    tails: float = TAILS,
-    edge: float = 0.0,
-    borders: bool = False,
-) -> Fit:
+@dataclass(frozen=True, slots=True, eq=False)
+class Scanned:
+    """Points of a scan as alignment sees them."""
+
+    points: Array  # (N, 3) mm, cloud frame
+    sigma: Array  # (N,) mm along the sighting ray; across the surface where the camera is unknown
+    camera: Array | None  # (N, 3) mm, where the camera was for each point
+
+    def only(self, rows: Any) -> Scanned:
+        """Some of them."""
+        return Scanned(self.points[rows], self.sigma[rows], None if self.camera is None else self.camera[rows])
+
+
+@dataclass(frozen=True, slots=True)
+class Weighting:
+    """What a point's weight in the alignment follows from, beside its sigma."""
+
+    floor: float  # mm, one sigma, that no residual is better than (form of the part, facets)
+    tails: float = (
+        TAILS  # where Tukey's weight ends, in standard deviations (more where residuals exceed what is claimed)
+    )
+    edge: float = 0.0  # mm: points with their foot nearer to a sharp edge than this and three sigma take no part
+    borders: bool = False  # points that hang over an edge pull the edge towards them
+
+
+def refine(surface: Surface, pose: Pose, scan: Scanned, *, reach: tuple[float, ...], weighting: Weighting) -> Fit:
     """Iterated point-to-plane alignment (Chen & Medioni 1991) with Tukey weights and the points' own sigma.
 
     Parameters
@@ -50,20 +64,13 @@ def refine(
         Of the model.
     pose : Pose
         cloud_from_model to begin with, within about the first ``reach``.
-    points, sigma, camera : (N, 3), (N,), (N, 3)
-        mm; sigma is along the sighting ray, so that a surface seen at a slant is known better across it. Without the
-        camera, sigma is taken across the surface.
+    scan : Scanned
+        Its sigma is along the sighting ray, so that a surface seen at a slant is known better across it.
     reach : tuple of float, mm
         Points further from the surface have no weight, one value a step.
-    tails : float
-        Where Tukey's weight ends, in standard deviations (made larger where the residuals are larger than claimed).
-    floor : float
-        Standard deviation, mm, that no residual is better than (form of the part, facets).
-    edge : float, mm
-        Points with their foot within three standard deviations of a sharp edge, and this much more, take no part.
-    borders : bool
-        Points that hang over an edge pull the edge towards them. On the way to the pose this stops faces from sliding
-        in themselves; the last steps do without, since a stripe is smeared at an edge.
+    weighting : Weighting
+        With ``borders``, faces are stopped from sliding in themselves on the way to the pose; the last steps do without,
+        since a stripe is smeared at an edge.
 
     Returns
     -------
@@ -71,36 +78,21 @@ def refine(
         Points beyond an edge, whose nearest surface point is not straight below them, have no weight without ``borders``.
     """
     for cut in reach:
-        fit = evaluate(
-            surface, pose, points, sigma, camera, cut=cut, floor=floor, tails=tails, edge=edge, borders=borders
-        )
+        fit = evaluate(surface, pose, scan, cut=cut, weighting=weighting)
         root = np.sqrt(fit.weight)[:, None]
         rows = np.concatenate([root * fit.jacobian * _SCALE, np.eye(6) / STEP])
         x = np.linalg.lstsq(rows, np.append(-root[:, 0] * fit.residual, np.zeros(6)), rcond=None)[0] * _SCALE
         moved = Pose.from_rotation_vector(x[3:], np.zeros(3)).rotation
         pose = Pose(moved @ pose.rotation, pose.translation + x[:3])
-    return evaluate(
-        surface, pose, points, sigma, camera, cut=reach[-1], floor=floor, tails=tails, edge=edge, borders=borders
-    )
+    return evaluate(surface, pose, scan, cut=reach[-1], weighting=weighting)
 
 
 _SCALE = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # 1 mm and 0.02 rad move a point 50 mm away alike
 
 
-def evaluate(
-    surface: Surface,
-    pose: Pose,
-    points: Array,
-    sigma: Array,
-    camera: Array | None,
-    *,
-    cut: float,
-    floor: float,
-    tails: float = TAILS,
-    edge: float = 0.0,
-    borders: bool = False,
-) -> Fit:
-    """Residuals, weights and derivatives at one pose; see `refine`."""
+def evaluate(surface: Surface, pose: Pose, scan: Scanned, *, cut: float, weighting: Weighting) -> Fit:
+    """Residuals, weights and derivatives at one pose; points further than ``cut`` mm have no weight; see `refine`."""
+    points, sigma, camera, floor = scan.points, scan.sigma, scan.camera, weighting.floor
     closest, normal = surface.nearest(pose.inverse.apply(points))
     on = closest @ pose.rotation.T
     normal = normal @ pose.rotation.T
@@ -115,9 +107,9 @@ def evaluate(
         facing = slope > GRAZING
     variance = (sigma * np.maximum(slope, SLANT)) ** 2 + floor**2
     below = aside < 0.3 * sigma + 0.01  # the nearest surface is straight below, not an edge
-    margin = EDGE * sigma + edge
+    margin = EDGE * sigma + weighting.edge
     far = surface.crease_distance(closest, float(margin.max())) > margin
-    if borders:
+    if weighting.borders:
         length = np.linalg.norm(gap, axis=1)
         over = ~below & (length > 1e-9)
         normal = np.where(over[:, None], gap / np.maximum(length, 1e-9)[:, None], normal)
@@ -129,8 +121,19 @@ def evaluate(
     used = (np.abs(residual) < cut) & facing & below & far
     deviate = residual / np.sqrt(variance)
     usual = 1.4826 * float(np.median(np.abs(deviate[used]))) if used.any() else 1.0
-    share = (deviate / (tails * max(usual, 1.0))) ** 2
+    share = (deviate / (weighting.tails * max(usual, 1.0))) ** 2
     weight = np.where(used & (share < 1.0), (1.0 - np.minimum(share, 1.0)) ** 2 / variance, 0.0)
     # the point turns by -w about the model's origin, seen from the model
     jacobian = np.concatenate([-normal, -np.cross(on, normal)], axis=1)
     return Fit(pose, jacobian, weight, variance, residual, used, normal)
+
+
+def patches(points: Array, side: float) -> Ints:
+    """Number (N,) of the cube of side ``side`` mm that each point lies in, from 0 without gaps: those whose errors may be alike."""
+    cell = (
+        np.floor((points - points.min(axis=0)) / side).astype(np.int64) if len(points) else np.zeros((0, 3), np.int64)
+    )
+    size = cell.max(axis=0, initial=0) + 1
+    return np.asarray(
+        np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_inverse=True)[1]
+    ).ravel()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,21 @@ from calibration.geometry import Array
 Field = NDArray[np.float32]
 
 
+class Lattice(NamedTuple):
+    """A signed distance at the nodes of a cubic grid."""
+
+    values: Field  # (X, Y, Z) mm
+    origin: Array  # (3,) mm
+    scale: float  # nodes a mm
+
+
+class _Cloud(NamedTuple):
+    """What is aligned."""
+
+    points: Array  # (N, 3) mm
+    normals: Array  # (N, 3), zero where unknown
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DistanceGrid:
     """Signed distance to a closed surface at the nodes of a cubic grid, negative inside."""
@@ -21,6 +36,11 @@ class DistanceGrid:
     origin: Array  # (3,) mm, node (0, 0, 0)
     spacing: float  # mm
     values: Field  # (X, Y, Z) mm
+
+    @property
+    def lattice(self) -> Lattice:
+        """The same as the compiled functions take it."""
+        return Lattice(self.values, self.origin, 1.0 / self.spacing)
 
     def look_up(self, points: Array) -> tuple[Array, Array]:
         """Distances (N,) mm and their gradients (N, 3) at points (N, 3), trilinear; outside: the border plus the way."""
@@ -66,7 +86,7 @@ def align(
     """
     r, t = rotation.copy(), translation.copy()
     cost = np.empty(len(r))
-    _align(grid.values, grid.origin, 1.0 / grid.spacing, points, normals, r, t, reach, cost)
+    _align(grid.lattice, _Cloud(points, normals), r, t, reach, cost)
     return Aligned(r, t, cost)
 
 
@@ -76,7 +96,7 @@ def passes(grid: DistanceGrid, start: Array, end: Array, depth: float, clear: fl
     The first ``clear`` mm are not looked at, so that a point on the surface may start a segment.
     """
     free = np.empty(len(start), dtype=np.bool_)
-    _passes(grid.values, grid.origin, 1.0 / grid.spacing, start, end, depth, clear, free)
+    _passes(grid.lattice, start, end, depth, clear, free)
     return free
 
 
@@ -131,9 +151,8 @@ def _look_up(values: Field, origin: Array, scale: float, points: Array, distance
 
 
 @cached(nogil=True, fastmath=True)
-def _passes(
-    values: Field, origin: Array, scale: float, start: Array, end: Array, depth: Any, clear: Any, free: Any
-) -> None:
+def _passes(lattice: Lattice, start: Array, end: Array, depth: Any, clear: Any, free: Any) -> None:
+    values, origin, scale = lattice
     least = 0.5 / scale
     for i in range(len(start)):
         x, y, z = start[i, 0], start[i, 1], start[i, 2]
@@ -213,89 +232,105 @@ def _step(h: Array, g: Array, damping: float, x: Array) -> None:
         x[i] = s / h[i, i]
 
 
+class _Work(NamedTuple):
+    """What one alignment works with: normal equations and turns that are overwritten, and what turns are about."""
+
+    h: Array  # (6, 6)
+    g: Array  # (6,)
+    x: Array  # (6,) the step
+    row: Array  # (6,)
+    turn: Array  # (3, 3)
+    old: Array  # (3, 3)
+    middle: Array  # (3,) mm, of the grid
+    arm: float  # mm: turns and shifts alike
+
+
+@cached(nogil=True, fastmath=True, inline="always")
+def _gather(lattice: Lattice, cloud: _Cloud, r: Array, t: Array, cut: float, last: bool, work: _Work) -> float:
+    """The normal equations at a pose, turns about the middle of the grid; returns the cost (points lost, in parts)."""
+    values, origin, scale = lattice
+    points, normals = cloud
+    h, g, j6, middle, arm = work.h, work.g, work.row, work.middle, work.arm
+    inv = 1.0 / (cut * cut)
+    h[:] = 0.0
+    g[:] = 0.0
+    lost = 0.0
+    for i in range(len(points)):
+        p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
+        y0 = r[0, 0] * p0 + r[0, 1] * p1 + r[0, 2] * p2 + t[0]
+        y1 = r[1, 0] * p0 + r[1, 1] * p1 + r[1, 2] * p2 + t[1]
+        y2 = r[2, 0] * p0 + r[2, 1] * p1 + r[2, 2] * p2 + t[2]
+        d, gx, gy, gz = _trilinear(values, origin, scale, y0, y1, y2)
+        n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
+        facing = 1.0
+        if n0 != 0.0 or n1 != 0.0 or n2 != 0.0:
+            facing = (
+                gx * (r[0, 0] * n0 + r[0, 1] * n1 + r[0, 2] * n2)
+                + gy * (r[1, 0] * n0 + r[1, 1] * n1 + r[1, 2] * n2)
+                + gz * (r[2, 0] * n0 + r[2, 1] * n1 + r[2, 2] * n2)
+            )
+        e = d * d * inv
+        if e >= 1.0 or facing <= 0.0:
+            lost += 1.0
+            continue
+        lost += 1.0 - facing * (1.0 - e) if facing < 1.0 else e
+        if last:
+            continue
+        w = (1.0 - e) * (1.0 - e) * min(facing, 1.0)
+        q0, q1, q2 = (y0 - middle[0]) / arm, (y1 - middle[1]) / arm, (y2 - middle[2]) / arm
+        j6[0], j6[1], j6[2] = q1 * gz - q2 * gy, q2 * gx - q0 * gz, q0 * gy - q1 * gx
+        j6[3], j6[4], j6[5] = gx, gy, gz
+        for a in range(6):
+            wa = w * j6[a]
+            g[a] += wa * d
+            for b in range(a + 1):
+                h[a, b] += wa * j6[b]
+    return lost
+
+
+@cached(nogil=True, fastmath=True, inline="always")
+def _moved(r: Array, t: Array, work: _Work) -> None:
+    """Apply the step to a pose, which is overwritten; half a radian at most."""
+    x, turn, old, middle, arm = work.x, work.turn, work.old, work.middle, work.arm
+    w0, w1, w2 = x[0] / arm, x[1] / arm, x[2] / arm
+    angle = np.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
+    shrink = min(1.0, 0.5 / (angle + 1e-12))  # never more than half a radian at once
+    w0, w1, w2 = w0 * shrink, w1 * shrink, w2 * shrink
+    angle *= shrink
+    a1 = 1.0 if angle < 1e-8 else np.sin(angle) / angle
+    a2 = 0.5 if angle < 1e-4 else (1.0 - np.cos(angle)) / (angle * angle)
+    turn[0, 0], turn[0, 1], turn[0, 2] = 1 - a2 * (w1 * w1 + w2 * w2), a2 * w0 * w1 - a1 * w2, a2 * w0 * w2 + a1 * w1
+    turn[1, 0], turn[1, 1], turn[1, 2] = a2 * w0 * w1 + a1 * w2, 1 - a2 * (w0 * w0 + w2 * w2), a2 * w1 * w2 - a1 * w0
+    turn[2, 0], turn[2, 1], turn[2, 2] = a2 * w0 * w2 - a1 * w1, a2 * w1 * w2 + a1 * w0, 1 - a2 * (w0 * w0 + w1 * w1)
+    old[:] = r
+    u0, u1, u2 = t[0] - middle[0], t[1] - middle[1], t[2] - middle[2]
+    for a in range(3):
+        for b in range(3):
+            r[a, b] = turn[a, 0] * old[0, b] + turn[a, 1] * old[1, b] + turn[a, 2] * old[2, b]
+        t[a] = middle[a] + turn[a, 0] * u0 + turn[a, 1] * u1 + turn[a, 2] * u2 + x[3 + a] * shrink
+
+
 @cached(nogil=True, fastmath=True)
-def _align(
-    values: Field, origin: Array, scale: float, points: Array, normals: Any, rotation: Array, translation: Array,
-    reach: Array, cost: Array,
-) -> None:  # fmt: skip
-    n, steps = len(points), len(reach)
-    h, g, x, j6 = np.empty((6, 6)), np.empty(6), np.zeros(6), np.empty(6)
-    turn, old = np.empty((3, 3)), np.empty((3, 3))
-    arm = 0.25 * (values.shape[0] + values.shape[1] + values.shape[2]) / 3.0 / scale  # mm: turns and shifts alike
+def _align(lattice: Lattice, cloud: _Cloud, rotation: Array, translation: Array, reach: Array, cost: Array) -> None:
+    n, steps, values = len(cloud.points), len(reach), lattice.values
     middle = np.empty(3)
     for c in range(3):
-        middle[c] = origin[c] + 0.5 * (values.shape[c] - 1) / scale
+        middle[c] = lattice.origin[c] + 0.5 * (values.shape[c] - 1) / lattice.scale
+    arm = 0.25 * (values.shape[0] + values.shape[1] + values.shape[2]) / 3.0 / lattice.scale
+    work = _Work(
+        np.empty((6, 6)), np.empty(6), np.zeros(6), np.empty(6), np.empty((3, 3)), np.empty((3, 3)), middle, arm
+    )
     for s in range(len(rotation)):
         r, t = rotation[s], translation[s]
         for step in range(steps + 1):
             last = step == steps
             cut = reach[steps - 1] if last else reach[step]
-            inv = 1.0 / (cut * cut)
-            h[:] = 0.0
-            g[:] = 0.0
-            lost = 0.0
-            for i in range(n):
-                p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
-                y0 = r[0, 0] * p0 + r[0, 1] * p1 + r[0, 2] * p2 + t[0]
-                y1 = r[1, 0] * p0 + r[1, 1] * p1 + r[1, 2] * p2 + t[1]
-                y2 = r[2, 0] * p0 + r[2, 1] * p1 + r[2, 2] * p2 + t[2]
-                d, gx, gy, gz = _trilinear(values, origin, scale, y0, y1, y2)
-                m0, m1, m2 = normals[i, 0], normals[i, 1], normals[i, 2]
-                facing = 1.0
-                if m0 != 0.0 or m1 != 0.0 or m2 != 0.0:
-                    facing = (
-                        gx * (r[0, 0] * m0 + r[0, 1] * m1 + r[0, 2] * m2)
-                        + gy * (r[1, 0] * m0 + r[1, 1] * m1 + r[1, 2] * m2)
-                        + gz * (r[2, 0] * m0 + r[2, 1] * m1 + r[2, 2] * m2)
-                    )
-                e = d * d * inv
-                if e >= 1.0 or facing <= 0.0:
-                    lost += 1.0
-                    continue
-                lost += 1.0 - facing * (1.0 - e) if facing < 1.0 else e
-                if last:
-                    continue
-                w = (1.0 - e) * (1.0 - e) * min(facing, 1.0)
-                q0, q1, q2 = (y0 - middle[0]) / arm, (y1 - middle[1]) / arm, (y2 - middle[2]) / arm
-                j6[0], j6[1], j6[2] = q1 * gz - q2 * gy, q2 * gx - q0 * gz, q0 * gy - q1 * gx
-                j6[3], j6[4], j6[5] = gx, gy, gz
-                for a in range(6):
-                    wa = w * j6[a]
-                    g[a] += wa * d
-                    for b in range(a + 1):
-                        h[a, b] += wa * j6[b]
+            lost = _gather(lattice, cloud, r, t, cut, last, work)
             if last:
                 cost[s] = lost / n
                 break
             if lost > 0.98 * n:
                 cost[s] = 1.0
                 break
-            _step(h, g, 1e-3, x)
-            w0, w1, w2 = x[0] / arm, x[1] / arm, x[2] / arm
-            angle = np.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
-            shrink = min(1.0, 0.5 / (angle + 1e-12))  # never more than half a radian at once
-            w0, w1, w2 = w0 * shrink, w1 * shrink, w2 * shrink
-            angle *= shrink
-            a1 = 1.0 if angle < 1e-8 else np.sin(angle) / angle
-            a2 = 0.5 if angle < 1e-4 else (1.0 - np.cos(angle)) / (angle * angle)
-            turn[0, 0], turn[0, 1], turn[0, 2] = (
-                1 - a2 * (w1 * w1 + w2 * w2),
-                a2 * w0 * w1 - a1 * w2,
-                a2 * w0 * w2 + a1 * w1,
-            )
-            turn[1, 0], turn[1, 1], turn[1, 2] = (
-                a2 * w0 * w1 + a1 * w2,
-                1 - a2 * (w0 * w0 + w2 * w2),
-                a2 * w1 * w2 - a1 * w0,
-            )
-            turn[2, 0], turn[2, 1], turn[2, 2] = (
-                a2 * w0 * w2 - a1 * w1,
-                a2 * w1 * w2 + a1 * w0,
-                1 - a2 * (w0 * w0 + w1 * w1),
-            )
-            old[:] = r
-            u0, u1, u2 = t[0] - middle[0], t[1] - middle[1], t[2] - middle[2]
-            for a in range(3):
-                for b in range(3):
-                    r[a, b] = turn[a, 0] * old[0, b] + turn[a, 1] * old[1, b] + turn[a, 2] * old[2, b]
-                t[a] = middle[a] + turn[a, 0] * u0 + turn[a, 1] * u1 + turn[a, 2] * u2 + x[3 + a] * shrink
+            _step(work.h, work.g, 1e-3, work.x)
+            _moved(r, t, work)

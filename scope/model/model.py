@@ -9,7 +9,7 @@ import numpy as np
 from calibration.geometry import Array, Ints, Pose
 from calibration.notebook import Picture, Shown, Summary, number, scatter
 from scope.errors import MeasurementError
-from scope.model.alignment import refine
+from scope.model.alignment import Scanned, Weighting, refine
 from scope.model.grid import DistanceGrid, align
 from scope.model.surface import Surface, sample_surface
 
@@ -223,7 +223,8 @@ def _sharpened(surface: Surface, samples: Array, motion: Pose, diameter: float) 
     few = samples[::9]
     reach = diameter * np.array([0.01, 0.01, 0.005, 0.003, 0.003])
     spread = np.full(len(few), 1e-3 * diameter)
-    return refine(surface, motion.inverse, few, spread, None, reach=tuple(reach), floor=0.0).pose.inverse
+    scan = Scanned(few, spread, None)
+    return refine(surface, motion.inverse, scan, reach=tuple(reach), weighting=Weighting(0.0)).pose.inverse
 
 
 def _misfit(surface: Surface, samples: Array, motion: Pose) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calibration.geometry import Array, Ints
 from calibration.threads import own_threads
 from scope.errors import MeasurementError
+from scope.model.features import Features, features_of
 from scope.optional import import_open3d
 
 
@@ -29,6 +30,14 @@ class Surface:
         self._offsets = ((corners[:, 0] - self._shift) * self._normals).sum(axis=1)
         self._creases: Any = None  # cKDTree of points along the sharp edges, made when first asked for
         self._sharp = (vertices, faces)
+        self._features: Features | None = None
+
+    @property
+    def features(self) -> Features:
+        """Flat faces, round features and convex edges of the mesh, found when first asked for."""
+        if self._features is None:
+            self._features = features_of(*self._sharp)
+        return self._features
 
     def _tensor(self, values: Array) -> Any:
         return self._o3d.core.Tensor(np.ascontiguousarray(values, dtype=np.float32))
@@ -38,13 +47,18 @@ class Surface:
 
         The nearest face is found in single precision; the point on it is then put on the face's plane in double.
         """
+        closest, normal, _ = self.foot(points)
+        return closest, normal
+
+    def foot(self, points: Array) -> tuple[Array, Array, Ints]:
+        """What `nearest` gives, and the triangles (N,) on which the nearest points lie."""
         local = points - self._shift
         found = self._scene.compute_closest_points(self._tensor(local))
         closest = found["points"].numpy().astype(np.float64)
         face = found["primitive_ids"].numpy().astype(np.int64)
         normal = self._normals[face]
         closest += (self._offsets[face] - (closest * normal).sum(axis=1))[:, None] * normal
-        return closest + self._shift, normal
+        return closest + self._shift, normal, face
 
     def signed_distance(self, points: Array, *, votes: int = 3) -> Array:
         """Distances (N,) mm, negative inside (parity of crossings, majority of ``votes`` rays)."""

@@ -2,18 +2,18 @@
 
 In: a cloud, with where camera and laser stood if it knows, and a `Model`.
 Out: `PoseResult`: cloud_from_model, covariance, runner-up and margin; refused where another pose explains as
-    much.
+    much, or where it is another part, and then in what it differs.
 Read: placed, estimate, answer, segmentation, glance, search, piece, visibility, decision, rim, borders, uncertainty,
     wording, several.
 """
 
-from scope.pose.answer import PoseResult
+from scope.pose.answer import PoseOptions, PoseResult
 from scope.pose.estimate import estimate_pose
 from scope.pose.placed import Placed, frame_of, place, read_robot_from_camera, read_transform, write_deviation
 from scope.pose.search import normals_of, thin
 from scope.pose.segmentation import largest_plane
 from scope.pose.several import BAD_DATA, Sighted, poses_of, poses_table, sighted_result
-from scope.pose.uncertainty import patches, shared_errors
+from scope.pose.uncertainty import shared_errors
 from scope.pose.visibility import sheet_and_window, viewpoints
 from scope.pose.wording import CONVENTION, notations_text, pose_json, pose_result, pose_text
 
@@ -21,6 +21,7 @@ __all__ = [
     "BAD_DATA",
     "CONVENTION",
     "Placed",
+    "PoseOptions",
     "PoseResult",
     "Sighted",
     "estimate_pose",
@@ -28,7 +29,6 @@ __all__ = [
     "largest_plane",
     "normals_of",
     "notations_text",
-    "patches",
     "place",
     "pose_json",
     "pose_result",

@@ -10,6 +10,7 @@ from calibration.geometry import Array, Ints, Pose
 from calibration.notebook import Picture, Shown, Summary, number, scatter
 from scope.model import Model
 from scope.pose.uncertainty import Uncertainty
+from scope.variants import Undecided, Variant
 
 LEAST_SHOWN = 0.02  # of the part's surface; a sight of less is no basis for a decision
 
@@ -27,6 +28,7 @@ class PoseOptions:
     most_blocked: float = 0.05  # share of the points seen through the model
     several: bool = True  # look for further equal parts
     harder: bool = True  # search again with more starts where the first search leaves a doubt
+    part_tolerance: float = 0.1  # mm: surfaces of the right part lie this near to the mesh; 0.1 either side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +60,8 @@ class PoseResult(Shown):
     deviation: Array  # (len(points),) mm, signed distance from the model at the best candidate
     model: Model
     others: tuple[PoseResult, ...] = ()  # further equal parts in the same scan
+    variant: Variant | None = None  # how the scanned part differs from the mesh by more than its tolerance
+    undecided: tuple[Undecided, ...] = ()  # variants that would look the same in this scan
 
     @property
     def found(self) -> bool:

@@ -1,6 +1,8 @@
-"""Motions that the surface normals do not settle_by_borders, but the borders of the surface do: a face slides only until points hang over."""
+"""Motions that the surface normals do not settle, but the borders of the surface do: a face slides only until points hang over."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,21 +22,20 @@ def move(pose: Pose, motion: Array, amount: float, centre: Array, radius: float)
     return Pose(turn @ pose.rotation, centre + turn @ (pose.translation - centre) + amount * motion[:3])
 
 
-def settle_by_borders(
-    surface: Surface, pose: Pose, motions: Array, points: Array, sigma: Array, centre: Array, radius: float
-) -> tuple[Pose, Array] | None:
-    """Settle loose motions by the points that would hang over an edge or lie inside: a profile of their cost.
+@dataclass(frozen=True, slots=True, eq=False)
+class Sliding:
+    """A pose with motions that point-to-plane alignment leaves loose."""
 
-    Parameters
-    ----------
-    surface, pose : Surface, Pose
-        The part, cloud_from_model.
-    motions : (L, 6)
-        Unit motions that point-to-plane alignment leaves loose.
-    points, sigma : (N, 3), (N,)
-        All points that the model explains at ``pose``, mm.
-    centre, radius : (3,) mm, mm
-        What the motions are measured about.
+    pose: Pose  # cloud_from_model
+    motions: Array  # (L, 6) unit: shift of the centre, and turns about it as mm at the radius
+    points: Array  # (N, 3) mm, all points that the model explains at this pose
+    sigma: Array  # (N,) mm
+    centre: Array  # (3,) mm, cloud frame
+    radius: float  # mm
+
+
+def settle_by_borders(surface: Surface, sliding: Sliding) -> tuple[Pose, Array] | None:
+    """Settle loose motions by the points that would hang over an edge or lie inside: a profile of their cost.
 
     Returns
     -------
@@ -44,13 +45,15 @@ def settle_by_borders(
         widen it. None where some motion, or a sum of them, is not
         stopped on both sides within 0.45 mm: a bare plane, or a face whose rim is in shadow. None for more than three.
     """
+    pose, motions, points = sliding.pose, sliding.motions, sliding.points
+    centre, radius = sliding.centre, sliding.radius
     if len(motions) == 0 or len(motions) > 3:
         return None
     rim = np.flatnonzero(np.isfinite(surface.crease_distance(pose.inverse.apply(points), 3.0 * REACH)))
     if len(rim) < 0.02 * len(points):  # no sharp edges: any point may tell
         rim = np.arange(len(points))
     some = rim[np.linspace(0, len(rim) - 1, min(len(rim), 20_000)).astype(np.int64)]
-    near, spread = points[some], sigma[some]
+    near, spread = points[some], sliding.sigma[some]
     odd = int((_costs(surface, pose, near, spread) >= CAP).sum())
     rise = RISE + 0.5 * CAP * odd  # half of the points that lie nowhere may by chance lie well elsewhere
     offsets = np.arange(-REACH, REACH + STEP / 2, STEP)

@@ -38,44 +38,26 @@ class Likelihood:
         return float(self.point_cost.sum() + self.sample_cost.sum())
 
 
-def log_likelihood(
-    model: Model,
-    surface: Surface,
-    pose: Pose,
-    view: View,
-    sigma: Array,
-    visibility: Visibility | None,
-    background: View | None = None,
-    *,
-    tolerance: float,
-    spacing: float,
-) -> Likelihood:
-    """Two-way evidence for a pose.
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What poses of a part are rated by."""
 
-    Parameters
-    ----------
-    model, surface : Model, Surface
-        The part.
-    pose : Pose
-        cloud_from_model.
-    view : View
-        The thinned scan of the part.
-    sigma : (N,) mm
-        Of its points.
-    visibility : Visibility, optional
-        What camera and laser could see; without it, only the points speak.
-    background : View, optional
-        Points of other things: they need not lie on the model, but must not be seen through it.
-    tolerance : float
-        By how much the part may differ from its mesh, mm, one standard deviation.
-    spacing : float
-        Of the thinned points, mm.
-    """
+    view: View  # the thinned scan of the part
+    sigma: Array  # (N,) mm, of its points
+    visibility: Visibility | None  # what camera and laser could see; without it, only the points speak
+    background: View | None  # points of other things: they need not lie on the model, but must not be seen through it
+    tolerance: float  # mm, one sigma: by how much the part may differ from its mesh
+    spacing: float  # mm, of the thinned points
+
+
+def log_likelihood(model: Model, surface: Surface, pose: Pose, scene: Scene) -> Likelihood:
+    """Two-way evidence for a pose cloud_from_model."""
+    view, visibility, background, spacing = scene.view, scene.visibility, scene.background, scene.spacing
     inverse = pose.inverse
     local = inverse.apply(view.points)
     closest, _ = surface.nearest(local)
     gap = np.linalg.norm(local - closest, axis=1)
-    variance = sigma**2 + tolerance**2
+    variance = scene.sigma**2 + scene.tolerance**2
     cost = np.minimum(gap**2 / (2 * variance), CAP)
     blocked = lines_blocked(surface, inverse, view, spacing)
     # a point that lies well and is blocked sits on the far side of a wall

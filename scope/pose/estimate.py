@@ -29,6 +29,7 @@ def estimate_pose(
     *,
     region: Region | None = None,
     initial: Pose | None = None,
+    part_tolerance: float | None = None,
     options: PoseOptions | None = None,
 ) -> PoseResult:
     """Position and orientation of a known part in a scan.
@@ -43,6 +44,9 @@ def estimate_pose(
         Where the part is; without it tables are taken away and what stands on them is tried.
     initial : Pose, optional
         A cloud_from_model that is tried too; the search is made all the same.
+    part_tolerance : float, optional
+        How far surfaces of the right part may lie from the mesh, mm; by default that of the options, 0.1. What
+        differs by more is another part: no pose, and ``variant`` says in what.
     options : PoseOptions, optional
 
     Returns
@@ -54,10 +58,16 @@ def estimate_pose(
     ------
     MeasurementError
         A cloud in which nothing can be the part: empty, a table only, too small or too large, other units.
+    ValueError
+        A tolerance that is not positive.
     """
     from scope.model import load_model
 
     chosen = options or PoseOptions()
+    if part_tolerance is not None:
+        chosen = replace(chosen, part_tolerance=part_tolerance)
+    if not 0 < chosen.part_tolerance < np.inf:
+        raise ValueError(f"part_tolerance is {chosen.part_tolerance:g}; it must be a positive length, mm")
     prepared = model if isinstance(model, Model) else load_model(model)
     sides = np.sort(np.ptp(prepared.vertices, axis=0))
     refuse_sheet(cloud)

@@ -1,23 +1,50 @@
-"""The pose of the part in one piece of a scan: search, refine, log_likelihood, decide."""
+"""The pose of the part in one piece of a scan: search, refine, rate, decide, and ask whether it is this part."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.geometry import Array, Ints, Pose
 from scope.cloud import ScanCloud
-from scope.model import Model, Surface, distinct, evaluate, refine
+from scope.model import Fit, Model, Scanned, Surface, Weighting, distinct, evaluate, refine
 from scope.pose import segmentation
 from scope.pose.answer import LEAST_SHOWN, Candidate, PoseOptions, PoseResult
-from scope.pose.borders import REACH, settle_by_borders
-from scope.pose.decision import CAP, MISSING, Likelihood, area_of, log_likelihood, margin, same_answer, what_differs
+from scope.pose.borders import REACH, Sliding, settle_by_borders
+from scope.pose.decision import (
+    CAP,
+    MISSING,
+    Likelihood,
+    Scene,
+    area_of,
+    log_likelihood,
+    margin,
+    same_answer,
+    what_differs,
+)
 from scope.pose.rim import settle_by_rim
 from scope.pose.search import View, normals_of, polish, search, thin
-from scope.pose.uncertainty import Uncertainty, shared_errors, uncertainty
+from scope.pose.uncertainty import Shared, Uncertainty, shared_errors, uncertainty
 from scope.pose.visibility import Visibility, viewpoints, visibility_of
+from scope.variants import MIRROR, Evidence, judge
 
 CLEAR_EXPLAINED = 0.9  # share of the points, above which a first search is not repeated with more starts
 CLEAR_COVERED = 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """One piece of a scan, and the part that is looked for in it."""
+
+    cloud: ScanCloud
+    rows: Ints  # of the cloud
+    model: Model
+    surface: Surface
+    options: PoseOptions
+    scan: Scanned  # its points, all of them
+    laser: Array | None  # (N, 3) mm, for each point
+    visibility: Visibility | None
 
 
 def locate(
@@ -31,7 +58,6 @@ def locate(
             model, rows,
             f"the piece of the scan is {size:.0f} mm across and the part {model.diameter:.0f} mm; give the region of the part",
         )  # fmt: skip
-    camera, laser = viewpoints(cloud, rows)
     spacing = model.diameter / 100
     chosen = thin(points, spacing)
     shown, whole = len(chosen) * spacing**2, area_of(model)
@@ -40,8 +66,17 @@ def locate(
             model, rows,
             f"the scan shows {shown:.0f} mm2 of the part's {whole:.0f} mm2, at least {100 * LEAST_SHOWN:.0f} % needed; scan more of it",
         )  # fmt: skip
-    order = np.random.default_rng(0).permutation(len(chosen))
-    chosen = chosen[order]
+    piece, scene = _prepared(cloud, rows, model, surface, options, chosen)
+    return _decide(piece, _rated(piece, scene, initial), scene.view)
+
+
+def _prepared(
+    cloud: ScanCloud, rows: Ints, model: Model, surface: Surface, options: PoseOptions, chosen: Ints
+) -> tuple[Piece, Scene]:
+    """The piece, and the thinned scan of it with what else is in the cloud."""
+    points, spacing = cloud.points[rows], model.diameter / 100
+    camera, laser = viewpoints(cloud, rows)
+    chosen = chosen[np.random.default_rng(0).permutation(len(chosen))]
     at = camera[chosen] if camera is not None else None
     normal = normals_of(points, points[chosen], at, radius=4 * spacing)
     view = View(points[chosen], normal, at, None if laser is None else laser[chosen])
@@ -56,6 +91,13 @@ def locate(
         far_camera, far_laser = viewpoints(cloud, others)
         background = View(cloud.points[others], np.zeros((len(others), 3)), far_camera, far_laser)
     visibility = visibility_of(cloud, cloud.points[others], voxel=1.5 * spacing)
+    piece = Piece(cloud, rows, model, surface, options, Scanned(points, sigma, camera), laser, visibility)
+    return piece, Scene(view, sigma[chosen], visibility, background, options.tolerance, spacing)
+
+
+def _rated(piece: Piece, scene: Scene, initial: Pose | None) -> list[Likelihood]:
+    """Candidates, refined and rated, best first; with more starts where the first leave much unexplained."""
+    model, surface, options, visibility = piece.model, piece.surface, piece.options, piece.visibility
     uncovered = (
         None
         if visibility is None
@@ -63,14 +105,14 @@ def locate(
     )
     rated: list[Likelihood] = []
     for starts, keep, spread in ((options.starts, 40, 0.0), (4 * options.starts, 120, 0.15)):
-        poses, cost = search(model, view, starts=starts, keep=keep, spread=spread, uncovered=uncovered)
-        poses, cost = _with_likenesses(model, view, poses, cost, initial)
-        found = _log_likelihoods(model, surface, view, sigma[chosen], visibility, background, poses, options, spacing)
+        poses, cost = search(model, scene.view, starts=starts, keep=keep, spread=spread, uncovered=uncovered)
+        poses, cost = _with_likenesses(model, scene.view, poses, cost, initial)
+        found = _log_likelihoods(piece, scene, poses)
         if not rated or found[0].cost < rated[0].cost:
             rated = found
         if not options.harder or (rated[0].explained >= CLEAR_EXPLAINED and not rated[0].covered < CLEAR_COVERED):
             break  # else look harder, before saying no and before believing a pose that leaves much unexplained
-    return _decide(cloud, rows, model, surface, rated, sigma, camera, visibility, options)
+    return rated
 
 
 def _refused(model: Model, rows: Ints, why: str) -> PoseResult:
@@ -104,21 +146,13 @@ def _with_likenesses(
     return [everything[i] for i in kept], total[kept]
 
 
-def _log_likelihoods(
-    model: Model,
-    surface: Surface,
-    view: View,
-    sigma: Array,
-    visibility: Visibility | None,
-    background: View | None,
-    poses: list[Pose],
-    options: PoseOptions,
-    spacing: float,
-) -> list[Likelihood]:
+def _log_likelihoods(piece: Piece, scene: Scene, poses: list[Pose]) -> list[Likelihood]:
     """Refined and rated candidates, best first.
 
     A quick look on the distance grid leaves out those that are far behind; the rest are refined on the mesh.
     """
+    model, surface, options, view, sigma = piece.model, piece.surface, piece.options, scene.view, scene.sigma
+    visibility = scene.visibility
     d, tolerance = model.diameter, options.tolerance
     variance = sigma**2 + tolerance**2 + (0.1 * model.fine.spacing) ** 2
     quick = []
@@ -131,71 +165,64 @@ def _log_likelihoods(
         samples, normals = model.samples[::18], model.normals[::18]
         missing = [len(sigma) * visibility.uncovered(surface, poses[k], samples, normals) for k in near]
         near = [near[i] for i in np.argsort([quick[k] + MISSING * m for k, m in zip(near, missing, strict=True)])]
-    few = slice(0, 2500)
-    camera = None if view.camera is None else view.camera[few]
+    few = Scanned(view.points, sigma, view.camera).only(slice(0, 2500))
     reach = (0.01 * d, 0.008 * d, 0.006 * d, 0.005 * d, max(1.0, 0.003 * d), max(1.0, 0.003 * d))
     done: list[Likelihood] = []
     hopeless = quick[order[0]] > 0.7 * CAP * len(sigma)
     for k in near[: 2 if hopeless else options.candidates]:
-        fit = refine(
-            surface, poses[k], view.points[few], sigma[few], camera, reach=reach, floor=tolerance, borders=True
-        )
+        fit = refine(surface, poses[k], few, reach=reach, weighting=Weighting(tolerance, borders=True))
         if not any(same_answer(model, fit.pose, e.pose, turn=0.004, shift=0.002 * d) for e in done):
-            done.append(
-                log_likelihood(
-                    model, surface, fit.pose, view, sigma, visibility, background, tolerance=tolerance, spacing=spacing
-                )
-            )
+            done.append(log_likelihood(model, surface, fit.pose, scene))
     return sorted(done, key=lambda e: e.cost)
 
 
-def _decide(
-    cloud: ScanCloud,
-    rows: Ints,
-    model: Model,
-    surface: Surface,
-    rated: list[Likelihood],
-    sigma: Array,
-    camera: Array | None,
-    visibility: Visibility | None,
-    options: PoseOptions,
-) -> PoseResult:
-    best = rated[0]
-    candidates = tuple(Candidate(e.pose, e.explained, e.blocked, e.covered, e.cost - best.cost) for e in rated)
-    points = cloud.points[rows]
-    reach = max(10 * float(np.median(sigma)), 0.5)
-    fit = refine(surface, best.pose, points, sigma, camera, reach=(reach,) * 2, floor=options.form)
-    shared_sigma = cloud.sigma_cal[rows].astype(np.float64)
+def _calibration(piece: Piece) -> Shared:
+    """What the points of the piece share."""
+    sigma_cal = piece.cloud.sigma_cal[piece.rows].astype(np.float64)
+    visibility, scan = piece.visibility, piece.scan
     parameters = None
-    if visibility is not None and visibility.sheet is not None and camera is not None:
+    if visibility is not None and visibility.sheet is not None and scan.camera is not None:
         normal = visibility.camera_from_cloud[0].rotation.T @ visibility.sheet.normal
-        parameters = shared_errors(points, camera, normal, shared_sigma)
+        parameters = shared_errors(scan.points, scan.camera, normal, sigma_cal)
+    return Shared(scan.camera, sigma_cal, parameters)
+
+
+def _refined(piece: Piece, start: Pose, calibration: Shared, *, settle: bool) -> tuple[Fit, Uncertainty, bool]:
+    """The pose on all points, how sure it is, and whether borders had to place faces that slide in themselves."""
+    model, surface, scan = piece.model, piece.surface, piece.scan
+    reach, radius = max(10 * float(np.median(scan.sigma)), 0.5), model.diameter / 2
+    weighting = Weighting(piece.options.form)
+    fit = refine(surface, start, scan, reach=(reach,) * 2, weighting=weighting)
     middle = fit.pose.apply(model.centre)
-    known = uncertainty(fit, points, camera, shared_sigma, parameters, centre=middle, radius=model.diameter / 2)
-    misfit = _misfit(best, options)
+    known = uncertainty(fit, scan.points, calibration, centre=middle, radius=radius)
+    loose = _but_axis(model, fit.pose, known.loose_motions, middle)
+    if not settle or not len(loose):
+        return fit, known, False
+    local = fit.pose.inverse.apply(scan.points)
+    near = np.linalg.norm(surface.nearest(local)[0] - local, axis=1) < 1.5 * REACH
+    sliding = Sliding(fit.pose, loose, scan.points[near], scan.sigma[near], middle, radius)
+    settled = settle_by_borders(surface, sliding)
+    if settled is None and piece.visibility is not None:
+        settled = settle_by_rim(surface, model, sliding, piece.visibility)
+    if settled is None:
+        return fit, known, False
+    fit = evaluate(surface, settled[0], scan, cut=reach, weighting=weighting)
+    held = loose / settled[1][:, None]
+    return fit, uncertainty(fit, scan.points, calibration, centre=middle, radius=radius, held=held), True
+
+
+def _decide(piece: Piece, rated: list[Likelihood], view: View) -> PoseResult:
+    model, best = piece.model, rated[0]
+    candidates = tuple(Candidate(e.pose, e.explained, e.blocked, e.covered, e.cost - best.cost) for e in rated)
+    misfit = _misfit(best, piece.options)
     score, rival = _runner_up(model, rated)
-    borders = ""
-    sliding = _but_axis(model, fit.pose, known.loose_motions, middle)
-    if not misfit and rival is None and len(sliding):
-        local = fit.pose.inverse.apply(points)
-        near = np.linalg.norm(surface.nearest(local)[0] - local, axis=1) < 1.5 * REACH
-        settled = settle_by_borders(surface, fit.pose, sliding, points[near], sigma[near], middle, model.diameter / 2)
-        if settled is None and visibility is not None:
-            settled = settle_by_rim(
-                surface, model, fit.pose, sliding, points[near], visibility, middle, model.diameter / 2
-            )
-        if settled is not None:
-            borders = "; faces that slide in themselves were placed by their borders"
-            rows_held = sliding / settled[1][:, None]
-            fit = evaluate(surface, settled[0], points, sigma, camera, cut=reach, floor=options.form)
-            known = uncertainty(
-                fit, points, camera, shared_sigma, parameters,
-                centre=middle, radius=model.diameter / 2, held=rows_held,
-            )  # fmt: skip
-    rmse = float(np.sqrt(np.mean(fit.residual[fit.used] ** 2))) if fit.used.any() else float("nan")
-    axis = None
-    if model.axis is not None:
-        axis = (fit.pose.apply(model.axis.point), fit.pose.rotation @ model.axis.direction)
+    calibration = _calibration(piece)
+    fit, known, bordered = _refined(piece, best.pose, calibration, settle=not misfit and rival is None)
+    evidence = Evidence(
+        model, piece.surface, fit.pose, piece.scan, piece.laser, calibration.basis, piece.cloud.points,
+        piece.options.part_tolerance,
+    )  # fmt: skip
+    variant, undecided = judge(evidence, lambda: _mirrored(piece, view))
     why, tell = misfit, ""
     if not why and rival is not None:
         why = f"two poses explain the scan alike ({score:.0f} nats apart)"
@@ -203,25 +230,54 @@ def _decide(
     if not why and known.loose and not _of_axis(model, fit.pose, known):
         why = f"the scan does not hold the part: it {' and '.join(known.loose)}"
         tell = "scan a part of it that stops this motion"
+    if variant is not None:
+        why = f"not this part: {variant.text}" + (f"; {why}" if why else "")
     good, ambiguous = not why, bool(tell)
     if good:
         why = "no other pose comes near" if np.isinf(score) else f"{score:.0f} nats better than the runner-up"
-        why += borders
+        why += "; faces that slide in themselves were placed by their borders" if bordered else ""
+    axis = None
+    if model.axis is not None:
+        axis = (fit.pose.apply(model.axis.point), fit.pose.rotation @ model.axis.direction)
     return PoseResult(
         cloud_from_model=fit.pose if good else None,
         covariance=known.covariance if good else None,
         uncertainty=known,
         score=score,
-        rmse_mm=rmse,
+        rmse_mm=float(np.sqrt(np.mean(fit.residual[fit.used] ** 2))) if fit.used.any() else float("nan"),
         ambiguous=ambiguous,
         why=why,
         candidates=candidates,
         tell_apart=tell,
         axis=axis,
-        points=rows,
+        points=piece.rows,
         deviation=fit.residual,
         model=model,
+        variant=variant,
+        undecided=undecided,
     )
+
+
+def _mirrored(piece: Piece, view: View) -> Pose | None:
+    """The best pose, model from mirrored cloud, in which the scan's mirror image lies on the mesh."""
+    eyes = (None if e is None else e @ MIRROR for e in (view.camera, view.laser))
+    image = View(view.points @ MIRROR, view.normals @ MIRROR, *eyes)
+    poses, cost = search(piece.model, image, starts=piece.options.starts, keep=40)
+    poses, cost = _with_likenesses(piece.model, image, poses, cost, None)
+    if not poses:
+        return None
+    d = piece.model.diameter
+    few = Scanned(image.points, np.full(len(image.points), piece.options.tolerance), image.camera).only(slice(0, 2500))
+    reach = (0.01 * d, 0.008 * d, 0.006 * d, 0.005 * d, max(1.0, 0.003 * d), max(1.0, 0.003 * d))
+    weighting = Weighting(piece.options.tolerance, borders=True)
+    fits = [refine(piece.surface, p, few, reach=reach, weighting=weighting).pose.inverse for p in poses[:6]]
+
+    def off(pose: Pose) -> float:
+        local = pose.apply(few.points)
+        gap = np.linalg.norm(piece.surface.nearest(local)[0] - local, axis=1)
+        return float(np.minimum(gap**2, 9 * piece.options.tolerance**2).sum())
+
+    return min(fits, key=off)
 
 
 def _misfit(best: Likelihood, options: PoseOptions) -> str:

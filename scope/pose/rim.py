@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.geometry import Array, Pose
 from scope.model import Model, Surface
-from scope.pose.borders import REACH, mixtures, move
+from scope.pose.borders import REACH, Sliding, mixtures, move
 from scope.pose.visibility import Visibility
 
 WIDTH = 1.5  # mm from a sharp edge: the rim of a face
@@ -19,14 +19,7 @@ FLOOR = 0.05  # mm, one sigma
 
 
 def settle_by_rim(
-    surface: Surface,
-    model: Model,
-    pose: Pose,
-    motions: Array,
-    points: Array,
-    visibility: Visibility,
-    centre: Array,
-    radius: float,
+    surface: Surface, model: Model, sliding: Sliding, visibility: Visibility
 ) -> tuple[Pose, Array] | None:
     """Settle loose motions by the gaps between the rims of the part's visible faces and the points of the scan.
 
@@ -36,16 +29,12 @@ def settle_by_rim(
 
     Parameters
     ----------
-    surface, model, pose : Surface, Model, Pose
-        The part, cloud_from_model.
-    motions : (L, 6)
-        Unit motions that point-to-plane alignment leaves loose, three at most.
-    points : (N, 3)
-        The scan of the part, mm.
+    surface, model : Surface, Model
+        The part.
+    sliding : Sliding
+        Three motions at most.
     visibility : Visibility
         Tells which rims camera and laser should have seen.
-    centre, radius : (3,) mm, mm
-        What the motions are measured about.
 
     Returns
     -------
@@ -55,9 +44,10 @@ def settle_by_rim(
     """
     from scipy.spatial import cKDTree
 
+    pose, motions, centre, radius = sliding.pose, sliding.motions, sliding.centre, sliding.radius
     if not 0 < len(motions) <= 3:
         return None
-    tree = cKDTree(points)
+    tree = cKDTree(sliding.points)
     close = np.flatnonzero(surface.crease_distance(model.samples, WIDTH) < WIDTH)
     offsets = np.linspace(-REACH, REACH, 13)
     spread = np.zeros(len(motions))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.geometry import Array, Pose
+from calibration.geometry import Array, Ints, Pose
 from scope.model import Model, align, distinct, fibonacci_sphere, rotations
 
 
@@ -21,7 +21,7 @@ class View:
     laser: Array | None  # (N, 3) mm
 
 
-def thin(points: Array, spacing: float) -> Array:
+def thin(points: Array, spacing: float) -> Ints:
     """Indices of one point a cube of side ``spacing`` mm: the one nearest to the mean of its cube."""
     cell = np.floor((points - points.min(axis=0)) / spacing).astype(np.int64)
     size = cell.max(axis=0) + 1
@@ -33,7 +33,7 @@ def thin(points: Array, spacing: float) -> Array:
     mean = np.add.reduceat(points[order], starts, axis=0) / count[:, None]
     gap = ((points[order] - mean[group]) ** 2).sum(axis=1)
     best = np.lexsort((gap, group))[starts]
-    return np.sort(order[best])
+    return np.asarray(np.sort(order[best]), dtype=np.int64)
 
 
 def normals_of(points: Array, at: Array, camera: Array | None, *, radius: float) -> Array:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.geometry import Array, Ints
-from scope.model import Fit
+from calibration.geometry import Array
+from scope.model import Fit, patches
 
 LOOSE_MM = 0.12  # a direction known worse than this (or its turn at half a diameter) is not determined
 FEW = 12.0  # points or fewer in effect hold nothing: they may all lie on an edge
@@ -25,16 +25,26 @@ class Uncertainty:
     loose_motions: Array  # (L, 6) the same as unit motions, turns as mm at half a diameter
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Shared:
+    """What the points of a scan share through the calibration."""
+
+    camera: Array | None  # (N, 3) mm, where the camera was for each point; without it nothing is shared
+    sigma_cal: Array  # (N,) mm along the sighting ray, one standard deviation
+    parameters: (
+        Array | None
+    )  # (N, K) mm along the ray for K independent unit errors of the calibration (`shared_errors`)
+
+    @property
+    def basis(self) -> Array:
+        """(N, K) mm along the ray; all points together, each by its ``sigma_cal``, where the parameters are unknown."""
+        if self.parameters is not None:
+            return self.parameters
+        return np.nan_to_num(self.sigma_cal).astype(np.float64)[:, None]
+
+
 def uncertainty(
-    fit: Fit,
-    points: Array,
-    camera: Array | None,
-    sigma_cal: Array,
-    parameters: Array | None,
-    *,
-    centre: Array,
-    radius: float,
-    held: Array | None = None,
+    fit: Fit, points: Array, calibration: Shared, *, centre: Array, radius: float, held: Array | None = None
 ) -> Uncertainty:
     """Covariance of a refined pose.
 
@@ -42,13 +52,10 @@ def uncertainty(
     ----------
     fit : Fit
         The pose and its linear system.
-    points, camera : (N, 3)
+    points : (N, 3)
         mm, cloud frame.
-    sigma_cal : (N,) mm
-        Standard deviation along the sighting ray that the points share through the calibration.
-    parameters : (N, K), optional
-        How far each point moves along its ray for K independent unit errors of the calibration (`shared_errors`).
-        Without it all points are taken to move together, each by its ``sigma_cal``.
+    calibration : Shared
+        What these points share.
     centre, radius : (3,) mm, mm
         Middle of the part in the cloud and half its diameter: a turn is judged by what it moves there.
     held : (L, 6), optional
@@ -90,13 +97,11 @@ def uncertainty(
         + (vector * np.where(spread >= PRIOR_MM, PRIOR_MM**2, 0.0)) @ vector.T
     )
     shared = np.zeros((6, 6))
-    if camera is not None:
-        ray = points[used] - camera[used]
+    if calibration.camera is not None:
+        ray = points[used] - calibration.camera[used]
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
         along = (ray * fit.normal[used]).sum(axis=1)  # residual for 1 mm along the ray
-        known = np.nan_to_num(sigma_cal[used]).astype(np.float64)
-        basis = known[:, None] if parameters is None else parameters[used]
-        move = a @ (along[:, None] * basis)  # (6, K)
+        move = a @ (along[:, None] * calibration.basis[used])  # (6, K)
         shared = move @ move.T
     total = random + shared
     loose_motions, words = _loose(random)
@@ -146,17 +151,6 @@ def _shift_reference(arm: Array) -> Array:
     x, y, z = arm
     m[:3, 3:] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return m
-
-
-def patches(points: Array, side: float) -> Ints:
-    """Number (N,) of the cube of side ``side`` mm that each point lies in, from 0 without gaps."""
-    cell = (
-        np.floor((points - points.min(axis=0)) / side).astype(np.int64) if len(points) else np.zeros((0, 3), np.int64)
-    )
-    size = cell.max(axis=0, initial=0) + 1
-    return np.asarray(
-        np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_inverse=True)[1]
-    ).ravel()
 
 
 def _loose(covariance: Array) -> tuple[Array, tuple[str, ...]]:

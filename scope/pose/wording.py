@@ -9,6 +9,7 @@ import numpy as np
 from calibration.geometry import Array, Pose, quaternion_from_rotation
 from calibration.notation import COLUMNS, NOTATIONS, Notation, numbers_of, roll_pitch_yaw
 from scope.pose.placed import Placed
+from scope.variants import Undecided, Variant
 
 
 def pose_json(pose: Pose) -> dict[str, Any]:
@@ -56,6 +57,38 @@ def notations_text(pose: Pose) -> list[str]:
     return lines
 
 
+def variant_json(variant: Variant) -> dict[str, Any]:
+    """How the part differs from its mesh; numbers are null where there are none (the mirror image)."""
+    known = bool(np.isfinite(variant.size))
+    return {
+        "kind": variant.kind,
+        "size": variant.size if known else None,
+        "standard_error": variant.standard_error if known else None,
+        "unit": variant.unit,
+        "text": variant.text,
+        "at_mm": None if variant.at is None else variant.at.tolist(),
+        "alternatives": list(variant.alternatives),
+    }
+
+
+def undecided_text(undecided: tuple[Undecided, ...], *, most: int = 3) -> list[str]:
+    """One line for all variants that one look would settle, the first ``most`` of them."""
+    told: list[tuple[Array, list[str]]] = []
+    for item in undecided:
+        for look, names in told:
+            if np.nan_to_num(look) @ np.nan_to_num(item.look_from) > 0.9:
+                names.append(item.what)
+                break
+        else:
+            told.append((item.look_from, [item.what]))
+    lines = []
+    for look, names in told[:most]:
+        many = f" and {len(names) - 2} more" if len(names) > 2 else ""
+        at = f"; look from ({', '.join(f'{x:.2f}' for x in look)}) of the cloud" if np.isfinite(look).all() else ""
+        lines.append(f"undecided here: {', '.join(names[:2])}{many}{at}")
+    return lines + ([f"undecided here: {len(told) - most} more, see --json"] if len(told) > most else [])
+
+
 def pose_result(placed: Placed) -> dict[str, Any]:
     """What --json gives."""
     result = placed.result
@@ -96,6 +129,15 @@ def pose_result(placed: Placed) -> dict[str, Any]:
             }
             for c in result.candidates
         ],
+        "variant": None if result.variant is None else variant_json(result.variant),
+        "undecided": [
+            {
+                "kind": u.kind,
+                "what": u.what,
+                "look_from": u.look_from.tolist() if np.isfinite(u.look_from).all() else None,
+            }
+            for u in result.undecided
+        ],
         "points": len(result.points),
         "others": [
             {"cloud_from_model": o.cloud_from_model.matrix.tolist(), "score": o.score, "rmse_mm": o.rmse_mm}
@@ -111,8 +153,9 @@ def pose_text(placed: Placed) -> str:
     """What a person reads on the terminal."""
     result = placed.result
     if result.cloud_from_model is None:
-        kind = "ambiguous" if result.ambiguous else "refused"
-        return "\n".join(filter(None, [f"{kind}: {result.why}", result.tell_apart]))
+        kind = "refused" if result.variant is not None or not result.ambiguous else "ambiguous"
+        other = "" if result.variant is None else "; ".join(f"or {t}" for t in result.variant.alternatives)
+        return "\n".join(filter(None, [f"{kind}: {result.why}", other, result.tell_apart]))
     lines = [f"found: {result.why}; rms {result.rmse_mm:.3f} mm over {len(result.points)} points"]
     named = [("cloud", result.cloud_from_model), (f"camera at frame {placed.at}", placed.camera_from_model)]
     for name, pose in [*named, ("robot", placed.robot_from_model)]:
@@ -136,4 +179,5 @@ def pose_text(placed: Placed) -> str:
     if result.others:
         lines.append(f"{len(result.others)} further part(s) of the same kind")
     lines.append(deviation_text(result.deviation))
+    lines += undecided_text(result.undecided)
     return "\n".join(lines)

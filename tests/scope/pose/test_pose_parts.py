@@ -18,7 +18,18 @@ from calibration.errors import FileError
 from calibration.geometry import Pose
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError, MissingLibraryError
-from scope.model import Model, Surface, align, angle_between, evaluate, hidden, load_model, rotations
+from scope.model import (
+    Model,
+    Scanned,
+    Surface,
+    Weighting,
+    align,
+    angle_between,
+    evaluate,
+    hidden,
+    load_model,
+    rotations,
+)
 from scope.model.files import read_mesh
 from scope.model.model import prepare_model, principal_axes
 from scope.pose import estimate_pose, largest_plane, normals_of, place, read_transform, thin
@@ -27,7 +38,7 @@ from scope.pose.estimate import PoseOptions
 from scope.pose.placed import frame_of, write_deviation
 from scope.pose.search import View
 from scope.pose.segmentation import clusters, extent
-from scope.pose.uncertainty import uncertainty
+from scope.pose.uncertainty import Shared, uncertainty
 from scope.pose.visibility import visibility_of
 from scope.pose.wording import pose_result, roll_pitch_yaw
 
@@ -166,16 +177,14 @@ class TestSharpEdges:
             [rng.uniform(2, 48, 3000), rng.uniform(2, 38, 3000), 22 + rng.normal(scale=0.02, size=3000)]
         )
         points = np.concatenate([top, [[50.0, 20, 10], [25, 40, 9.0]]])
-        fit = evaluate(surface, Pose.identity(), points, np.full(len(points), 0.02), None, cut=0.5, floor=0.01)
+        scan = Scanned(points, np.full(len(points), 0.02), None)
+        fit = evaluate(surface, Pose.identity(), scan, cut=0.5, weighting=Weighting(0.01))
         assert (fit.weight > 0)[-2:].all()
-        known = uncertainty(
-            fit, points, None, np.zeros(len(points)), None, centre=np.array([25.0, 20, 11]), radius=33.0
-        )
+        alone = Shared(None, np.zeros(len(points)), None)
+        known = uncertainty(fit, points, alone, centre=np.array([25.0, 20, 11]), radius=33.0)
         assert len(known.loose) == 3
         borders = known.loose_motions / 0.03
-        settled = uncertainty(
-            fit, points, None, np.zeros(len(points)), None, centre=np.array([25.0, 20, 11]), radius=33.0, held=borders
-        )
+        settled = uncertainty(fit, points, alone, centre=np.array([25.0, 20, 11]), radius=33.0, held=borders)
         assert settled.loose == ()  # what its rim holds is held, grazing points or not
 
 
