@@ -357,7 +357,7 @@ def _mesh(
     from scope.model import Surface
     from scope.pose import estimate_pose
 
-    result = estimate_pose(cloud, Path(known.mesh), region=region)
+    result = estimate_pose(cloud, Path(known.mesh), region=region, part_tolerance=np.inf)
     if result.cloud_from_model is None:
         raise MeasurementError(f"the mesh cannot be compared, its pose is not sure: {result.why}")
     points = cloud.points[result.points]

@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration.geometry import Array, Bools, Ints
 from scope.errors import MeasurementError
-from scope.pose import patches
+from scope.model import patches
 
 _TRIM = 3.5  # robust standard deviations
 _LEAST = 30  # points

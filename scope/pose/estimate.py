@@ -46,7 +46,7 @@ def estimate_pose(
         A cloud_from_model that is tried too; the search is made all the same.
     part_tolerance : float, optional
         How far surfaces of the right part may lie from the mesh, mm; by default that of the options, 0.1. What
-        differs by more is another part: no pose, and ``variant`` says in what.
+        differs by more is another part: no pose, and ``variant`` says in what. With infinity nothing is asked.
     options : PoseOptions, optional
 
     Returns
@@ -66,7 +66,7 @@ def estimate_pose(
     chosen = options or PoseOptions()
     if part_tolerance is not None:
         chosen = replace(chosen, part_tolerance=part_tolerance)
-    if not 0 < chosen.part_tolerance < np.inf:
+    if not chosen.part_tolerance > 0:
         raise ValueError(f"part_tolerance is {chosen.part_tolerance:g}; it must be a positive length, mm")
     prepared = model if isinstance(model, Model) else load_model(model)
     sides = np.sort(np.ptp(prepared.vertices, axis=0))

@@ -27,7 +27,7 @@ from scope.pose.rim import settle_by_rim
 from scope.pose.search import View, normals_of, polish, search, thin
 from scope.pose.uncertainty import Shared, Uncertainty, shared_errors, uncertainty
 from scope.pose.visibility import Visibility, viewpoints, visibility_of
-from scope.variants import MIRROR, Evidence, judge
+from scope.variants import MIRROR, Evidence, Undecided, Variant, judge
 
 CLEAR_EXPLAINED = 0.9  # share of the points, above which a first search is not repeated with more starts
 CLEAR_COVERED = 0.95
@@ -218,11 +218,7 @@ def _decide(piece: Piece, rated: list[Likelihood], view: View) -> PoseResult:
     score, rival = _runner_up(model, rated)
     calibration = _calibration(piece)
     fit, known, bordered = _refined(piece, best.pose, calibration, settle=not misfit and rival is None)
-    evidence = Evidence(
-        model, piece.surface, fit.pose, piece.scan, piece.laser, calibration.basis, piece.cloud.points,
-        piece.options.part_tolerance,
-    )  # fmt: skip
-    variant, undecided = judge(evidence, lambda: _mirrored(piece, view))
+    variant, undecided = _judged(piece, fit.pose, calibration, view)
     why, tell = misfit, ""
     if not why and rival is not None:
         why = f"two poses explain the scan alike ({score:.0f} nats apart)"
@@ -256,6 +252,17 @@ def _decide(piece: Piece, rated: list[Likelihood], view: View) -> PoseResult:
         variant=variant,
         undecided=undecided,
     )
+
+
+def _judged(piece: Piece, pose: Pose, calibration: Shared, view: View) -> tuple[Variant | None, tuple[Undecided, ...]]:
+    """Whether it is this part; nothing is asked where any deviation is tolerated."""
+    tolerance = piece.options.part_tolerance
+    if not np.isfinite(tolerance):
+        return None, ()
+    evidence = Evidence(
+        piece.model, piece.surface, pose, piece.scan, piece.laser, calibration.basis, piece.cloud.points, tolerance
+    )
+    return judge(evidence, lambda: _mirrored(piece, view))
 
 
 def _mirrored(piece: Piece, view: View) -> Pose | None:
