@@ -29,13 +29,16 @@ class Rims:
     sigma: Array  # (M,) mm, of one sample by its points' gaps
     triangle: Ints  # (M,) of the face
     other: Ints  # (M,) of the wall beyond
+    wall: Ints  # (M,) number of this wall: all of one flat face or round feature have one
 
     @property
     def variance(self) -> Array:
-        """(M,) mm2 of each sample, such that all samples of one wall together know it no better than `OWN_LOSS`."""
-        wall = np.unique(np.round(np.cross(self.at, self.out) @ [1.0, 0.31, 0.17], 1), return_inverse=True)[1].ravel()
-        many = np.bincount(wall)[wall] if len(wall) else np.zeros(0)
-        return np.asarray(self.sigma**2 + many * OWN_LOSS**2)
+        """(M,) mm2 of each sample, such that all samples of one side of a wall together know it no better than `OWN_LOSS`."""
+        side = np.column_stack(
+            [self.wall, np.round(1.3 * self.out)]
+        )  # eight sides of a round hole, one of a straight edge
+        number = np.unique(side, axis=0, return_inverse=True)[1].ravel() if len(side) else np.zeros(0, dtype=np.int64)
+        return np.asarray(self.sigma**2 + np.bincount(number)[number] * OWN_LOSS**2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,14 +114,18 @@ def rims_of(surface: Surface, edges: Edges, sight: Sight, pitch: float) -> Rims:
     end = second + LAST * gap
     fair = (gap < 0.25 * REACH) & (first < -0.5 * REACH) & (second > -0.8 * REACH) & (end < 0.9 * REACH)
     row = good[fair]
-    return Rims(
-        at[row], out[row], end[fair], SCATTER * gap[fair], edges.triangle[index[row]], edges.other[index[row]]
-    )  # fmt: skip
+    other = edges.other[index[row]]
+    features = surface.features
+    wall = np.where(
+        features.face_of[other] >= 0, features.face_of[other], len(features.faces) + features.feature_of[other]
+    )
+    wall = np.where((features.face_of[other] < 0) & (features.feature_of[other] < 0), -1 - other, wall)
+    return Rims(at[row], out[row], end[fair], SCATTER * gap[fair], edges.triangle[index[row]], other, wall)
 
 
 def _none() -> Rims:
     empty, whole = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-    return Rims(empty, empty, np.zeros(0), np.zeros(0), whole, whole)
+    return Rims(empty, empty, np.zeros(0), np.zeros(0), whole, whole, whole)
 
 
 def _samples(edges: Edges, pitch: float) -> tuple[Array, Array, Array, Array, Ints]:

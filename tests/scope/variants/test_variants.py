@@ -167,7 +167,7 @@ def test_what_is_out_of_sight_is_undecided_and_says_from_where_to_look() -> None
     cloud = parts.scan(part, truth, rng, scanner=parts.Scanner(noise=0.03, points=15_000))
     found = estimate_pose(cloud, model("clip"), initial=truth, options=FEW)
     assert found.variant is None
-    under = [u for u in found.undecided if "4.00 mm" in u.what]
+    under = [u for u in found.undecided if " 4.00 mm" in u.what]
     assert len(under) == 1
     assert under[0].look_from @ [0, 0, 1.0] > 0.9
     assert "undecided here: " in "\n".join(undecided_text(found.undecided))

@@ -1,0 +1,210 @@
+"""Errors of a pose beside the Cramer-Rao bound of its scan and robust point-to-plane ICP, through rendered images.
+
+    python -m benchmarks.pose_bound [--rigs 1] [--first 0] [--keep FOLDER]
+
+Each rig is drawn, rendered with a plane and three brackets in different poses, calibrated and scanned; nothing is taken from the
+truth but the regions. The bound is that of least squares with the points' own sigma, all points that are ranged,
+at the true pose: what nobody can beat, with no error of calibration and no edges. The peer is open3d's point-to-plane ICP
+with Tukey's weight (0.1 mm, from wide to narrow) on the same points. Both start 0.3 mm and 0.3 degrees from the truth in the refinement;
+the poses of SCOPE are found by its search. Rows "less": the same scan without `sensor`, without `sigma`, with half of its points.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import parts
+from benchmarks.pose import errors
+from benchmarks.shared import head, row
+from calibration.geometry import Array, Pose
+from scope.calibrating import calibrate
+from scope.cloud import Polygon, ScanCloud
+from scope.model import Model, Scanned, Surface, Weighting, evaluate
+from scope.model.model import prepare_model
+from scope.optional import import_open3d
+from scope.pose import estimate_pose, viewpoints
+from scope.scanning import scan
+from scope.simulation import read_design, simulate
+
+SEED = 730_000
+
+
+def bracket() -> parts.Part:
+    """A bracket of 50 mm with chamfered corner, boss, hole and two levels."""
+    regions = [
+        (parts.rectangle(0, 26, 48, 34), 0.0, 16.0),
+        (parts.rectangle(0, 0, 10, 8), 0.0, 5.0),
+        (parts.circle(16, 14, 6), 0.0, 14.0),
+        (parts.circle(16, 14, 3), 0.0, 0.0),
+        (parts.circle(38, 10, 4), 0.0, 0.0),
+    ]
+    return parts.Part("bracket", *parts.prisms(parts.rectangle(0, 0, 48, 34), regions, 0.0, 9.0))
+
+
+def design(rng: np.random.Generator, mesh: Path) -> str:
+    """A rig and three brackets, one nearly flat to the camera, two tilted."""
+    focal, base = rng.uniform(1100, 1400), rng.uniform(150, 210)
+    objects = ""
+    for k, tilt in enumerate((3.0, 22.0, 28.0)):
+        lean = Pose.from_rotation_vector(
+            np.radians(tilt) * np.append(_unit(rng.normal(size=2)), 0.0), np.zeros(3)
+        ).rotation
+        spin = Pose.from_rotation_vector([0, 0, rng.uniform(-np.pi, np.pi)], np.zeros(3)).rotation
+        rotation = lean @ spin @ np.diag([1.0, -1.0, -1.0])
+        middle = np.array([(-75.0, 0.0, 75.0)[k] + rng.uniform(-3, 3), rng.uniform(-4, 4), 405.0])
+        at = Pose(rotation, middle - rotation @ np.array([24.0, 17.0, 8.0])).matrix.tolist()
+        objects += f'[[object]]\nmesh = "{mesh}"\npose = {at}\n'
+    return f"""format = 1
+[camera]
+size = [1280, 800]
+focal_px = {focal:.1f}
+centre_px = [645.0, 398.0]
+distortion = [{rng.uniform(-0.2, 0):.3f}, 0.03, 0.0004, -0.0003, 0.0]
+[laser]
+origin = [0.0, {-base:.1f}, 8.0]
+through = [0.0, 0.0, 400.0]
+width = {rng.uniform(0.2, 0.35):.3f}
+roll = {rng.uniform(-3, 3):.2f}
+[jig]
+stand_offs = [340.0, 385.0, 435.0]
+rows = 13
+columns = 19
+pitch = 16.0
+diameter = 6.0
+fiducials = [[6, 9], [6, 11], [3, 9]]
+fiducial_diameter = 9.0
+images = 2
+laser_images = 1
+{objects}
+[[object]]
+solid = "plane"
+origin = [0.0, 0.0, 436.0]
+[motion]
+kind = "linear"
+direction = [0.0, 1.0, 0.0]
+start = -33.0
+step = 0.6
+frames = 110
+off_images = 1
+"""
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def rigs(numbers: range, keep: Path | None) -> Iterator[tuple[int, ScanCloud, list[Pose], parts.Part]]:
+    """Clouds of the rigs, each with the true poses cloud_from_model of its brackets."""
+    part = bracket()
+    for number in numbers:
+        with tempfile.TemporaryDirectory() as scratch:
+            home = (keep or Path(scratch)) / f"rig{number}"
+            home.mkdir(parents=True, exist_ok=True)
+            cloud_file = home / "cloud.ply"
+            if not cloud_file.is_file():
+                rng = np.random.default_rng(SEED + number)
+                part.mesh().export(home / "bracket.stl")
+                (home / "design.toml").write_text(design(rng, home / "bracket.stl"), encoding="utf-8")
+                simulate(read_design(home / "design.toml"), home / "session", rng)
+                calibrate(home / "session" / "calibration.toml").rig.save(home / "rig.json")
+                scan(home / "session" / "capture.toml", home / "rig.json").cloud.save(cloud_file)
+            truth = json.loads((home / "session" / "truth" / "truth.json").read_text(encoding="utf-8"))
+            poses = [Pose.from_matrix(o["cloud_from_model"]) for o in truth["object"] if o.get("mesh")]
+            yield number, ScanCloud.load(cloud_file), poses, part
+
+
+def bound(surface: Surface, cloud: ScanCloud, truth: Pose, centre: Array) -> tuple[float, float]:
+    """Cramer-Rao bound: rms turn in degrees and rms shift of the middle in mm."""
+    camera = viewpoints(cloud, np.arange(len(cloud)))[0]
+    scanned = Scanned(cloud.points, cloud.sigma.astype(np.float64), camera)
+    fit = evaluate(surface, truth, scanned, cut=0.3, weighting=Weighting(0.0))
+    arm = truth.apply(centre) - truth.translation
+    j = fit.jacobian[fit.used].copy()
+    j[:, 3:] -= np.cross(arm, j[:, :3])
+    covariance = np.linalg.inv((j.T / fit.variance[fit.used]) @ j)
+    return float(np.degrees(np.sqrt(np.trace(covariance[3:, 3:])))), float(np.sqrt(np.trace(covariance[:3, :3])))
+
+
+def icp(part: parts.Part, points: Array, start: Pose) -> Pose:
+    """The peer."""
+    o3d = import_open3d()
+    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(part.vertices), o3d.utility.Vector3iVector(part.faces))
+    mesh.compute_triangle_normals()
+    o3d.utility.random.seed(0)
+    dense = mesh.sample_points_uniformly(300_000, use_triangle_normal=True)
+    reg, matrix = o3d.pipelines.registration, start.inverse.matrix
+    seen = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    for reach, tail in ((2.0, 1.0), (1.0, 0.5), (0.5, 0.2), (0.5, 0.1), (0.5, 0.1)):
+        estimate = reg.TransformationEstimationPointToPlane(reg.TukeyLoss(k=tail))
+        matrix = reg.registration_icp(seen, dense, reach, matrix, estimate).transformation
+    return Pose.from_matrix(matrix, tolerance=1e-3).inverse
+
+
+def less(cloud: ScanCloud) -> dict[str, ScanCloud]:
+    """The scan, and what is left when something is taken away."""
+    n = len(cloud)
+    return {
+        "all": cloud,
+        "no sensor": replace(cloud, sensors=None),
+        "no sigma": replace(cloud, sigma=np.full(n, np.nan, dtype=np.float32)),
+        "half": cloud.select(np.random.default_rng(0).permutation(n) < n // 2),
+    }
+
+
+def one(
+    part: parts.Part, model: Model, cloud: ScanCloud, truth: Pose, rng: np.random.Generator
+) -> dict[str, tuple[float, float, str]]:
+    """Errors (degrees, mm, remark) by estimator, and the bound."""
+    corners = truth.apply(part.vertices)
+    low, high = corners.min(axis=0) - 3, corners.max(axis=0) + 3
+    within = Polygon(np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]))
+    surface = Surface(part.vertices, part.faces)
+    mine = within.contains(cloud.points) & (cloud.points[:, 2] < high[2])
+    local = truth.inverse.apply(cloud.points)
+    own = mine & (np.linalg.norm(surface.nearest(local)[0] - local, axis=1) < 3.0)
+    taken = cloud.select(own)
+    told = {"bound": (*bound(surface, taken, truth, model.centre), f"{int(own.sum())} points")}
+    turn = Pose.from_rotation_vector(np.radians(0.3) * _unit(rng.normal(size=3)), np.zeros(3)).rotation
+    middle = truth.apply(model.centre)
+    start = Pose(turn @ truth.rotation, middle + turn @ (truth.translation - middle) + 0.3 * _unit(rng.normal(size=3)))
+    told["ICP, Tukey"] = (*errors(part, icp(part, taken.points, start), truth), "")
+    for name, left in less(taken).items():
+        found = estimate_pose(left, model)
+        best = found.cloud_from_model or found.candidates[0].cloud_from_model
+        remark = "" if found.found else f"refused: {found.why[:60]}"
+        told[name] = (*errors(part, best, truth), "by its borders" if "borders" in found.why else remark)
+    return told
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rigs", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="folder in which sessions and clouds are kept for the next time")
+    told = parser.parse_args()
+    results: list[dict[str, tuple[float, float, str]]] = []
+    model: Model | None = None
+    head("scan", "estimator", "degrees", "mm", "remark")
+    for number, cloud, poses, part in rigs(range(told.first, told.first + told.rigs), told.keep):
+        model = model or prepare_model(part.vertices, part.faces, name=part.name)
+        for k, truth in enumerate(poses):
+            results.append(one(part, model, cloud, truth, np.random.default_rng(SEED + 10 * number + k)))
+            for name, (turn, shift, remark) in results[-1].items():
+                row(f"{number}.{k}", name, turn, shift, remark)
+    head("estimator", "median error over the bound: turn, shift", "over ICP: turn, shift")
+    for name in results[0]:
+        if name != "bound":
+            cells = [[r[name][i] / r[other][i] for r in results] for other in ("bound", "ICP, Tukey") for i in (0, 1)]
+            a, b, c, d = (f"{np.median(v):.2f}" for v in cells)
+            row(name, f"{a}, {b}", f"{c}, {d}")
+
+
+if __name__ == "__main__":
+    main()
