@@ -65,7 +65,8 @@ def judge(
     cost = cost_of(system, nominal.residual, tolerance) + stray
     choices = _sizes(system, each, off, max(edges, LEAST_EDGES), tolerance)
     choices += [(cost - PLACE * CAP * off.scale * count, variant) for variant, count in places]
-    if mirror is not None and (pose := mirror()) is not None:
+    doubt = off.share >= LEAST_SHARE or bool(places)  # edges alone do not tell the hand
+    if doubt and mirror is not None and (pose := mirror()) is not None:
         told, share = _image(evidence, pose)
         if share < max(LEAST_SHARE, 0.2 * off.share):
             hand = Variant("mirrored", np.nan, np.nan, "", "the scan fits the mirror image of the mesh", None)
