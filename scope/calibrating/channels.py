@@ -14,7 +14,7 @@ from scope.calibrating.plates import Seen
 _COLOURS: tuple[Channel, ...] = ("red", "green", "blue")
 _EVERY: tuple[Channel, ...] = (*_COLOURS, "gray", "red-excess", "green-excess", "blue-excess")
 _BETTER = 0.9  # of the error of the channel that the colours of the images speak for: less is a reason for another
-
+_SURELY = 0.8  # likewise of the laser's own colour, against the others
 _BLOCK = 16  # lines
 
 
@@ -42,15 +42,24 @@ def candidates(
     return usual, tuple(channel for channel in _EVERY if channel != "gray" or not several or usual == "gray")
 
 
-def choose(usual: Channel, found: Mapping[Channel, Sequence[Seen]]) -> Choice:
+def choose(usual: Channel, found: Mapping[Channel, Sequence[Seen]], guide: Channel = "gray") -> Choice:
     """Take the channel of the least error; the usual one unless another is better by a tenth.
 
     ``found`` has the stripes of some views in each channel, those on the sheet that the views share: what is no stripe of the
-    laser does not count, however bright.
+    laser does not count, however bright. ``guide`` is the channel that shows the stripe on the most lines: where it is a
+    colour or its excess, that is the laser's, and the other colours, which see it by leakage only, have to be better by more
+    than such errors can be predicted to.
     """
     most = max(len(stripes) for stripes in found.values())
     errors: dict[str, float] = {channel: _error(stripes, most) for channel, stripes in found.items()}
     best = min(found, key=lambda channel: errors[channel])
+    colour = guide.removesuffix("-excess")
+    if colour in _COLOURS:
+        own = min((c for c in found if c.removesuffix("-excess") == colour), key=lambda channel: errors[channel])
+        if errors[own] * _SURELY <= errors[best]:
+            best = own
+        if usual.removesuffix("-excess") != colour:
+            usual = own
     if not np.isfinite(errors[best]) or errors.get(usual, np.inf) * _BETTER <= errors[best]:
         best = usual
     return Choice(best, errors)

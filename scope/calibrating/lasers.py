@@ -218,7 +218,7 @@ def _chosen_channel(
                 for name, course in found[guide].items()
             }
             found[channel] |= {name: stripe for name, stripe in more.items() if stripe is not None}
-    return choose(usual, {channel: list(stripes.values()) for channel, stripes in found.items()}), guide
+    return choose(usual, {channel: list(stripes.values()) for channel, stripes in found.items()}, guide), guide
 
 
 def _stripes(plan: CalibrationPlan, look: _Look, shot: _Shot) -> tuple[list[Seen], Light]:

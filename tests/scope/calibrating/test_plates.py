@@ -125,6 +125,10 @@ def test_the_channel_of_the_least_error_is_taken_and_the_usual_one_stays_where_i
     assert choose("red", {"red": stripes[0.05][:1], "green": stripes[0.1][:1]}).channel == "red"
     assert choose("red", {"red": stripes[0.052][:1], "green": stripes[0.05][:1]}).channel == "green"  # more lines
     assert choose("red", {"red": [], "green": stripes[0.1][:1]}).errors["red"] == np.inf
+    near = {"red": stripes[0.05][:1], "green": stripes[0.052][:1]}  # a green laser leaks into red
+    assert choose("red", near, "green-excess").channel == "green"
+    far = {"red": stripes[0.05][:1], "green": stripes[0.1][:1]}
+    assert choose("red", far, "green-excess").channel == "red"
 
 
 def test_reasons_are_counted_by_kind_and_cut_short():
