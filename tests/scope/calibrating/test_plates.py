@@ -119,13 +119,13 @@ def test_the_channel_of_the_least_error_is_taken_and_the_usual_one_stays_where_i
         noise: stripes_on(
             seen_on(camera(), marks("a", pose), light(plane, rng, slice(150, lines), noise)), marks("a", pose), "auto"
         )
-        for noise, lines in ((0.05, 330), (0.1, 330), (0.052, 200))
+        for noise, lines in ((0.05, 330), (0.1, 330), (0.055, 330), (0.052, 200))
     }
     assert choose("red", {"red": stripes[0.1][:1], "green": stripes[0.05][:1]}).channel == "green"
     assert choose("red", {"red": stripes[0.05][:1], "green": stripes[0.1][:1]}).channel == "red"
     assert choose("red", {"red": stripes[0.052][:1], "green": stripes[0.05][:1]}).channel == "green"  # more lines
     assert choose("red", {"red": [], "green": stripes[0.1][:1]}).errors["red"] == np.inf
-    near = {"red": stripes[0.05][:1], "green": stripes[0.052][:1]}  # a green laser leaks into red
+    near = {"red": stripes[0.05][:1], "green": stripes[0.055][:1]}  # a green laser leaks into red
     assert choose("red", near, "green-excess").channel == "green"
     far = {"red": stripes[0.05][:1], "green": stripes[0.1][:1]}
     assert choose("red", far, "green-excess").channel == "red"
