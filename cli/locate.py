@@ -70,7 +70,7 @@ def pose(
 ) -> None:
     """Find a known part in a scan: position, orientation and how sure they are; exit 3 where the answer is not sure."""
     from calibration.atomic import require_folder
-    from scope.pose import BAD_DATA, PoseOptions, poses_of, read_robot_from_camera, read_transform
+    from scope.pose import BAD_DATA, PoseOptions, Told, poses_of, read_robot_from_camera, read_transform
 
     with user_errors():
         with _usage():
@@ -89,7 +89,7 @@ def pose(
         with progress("placing", quiet=quiet or len(clouds) == 1) as tick:
             found = []
             answers = poses_of(
-                clouds, model, region=within, at=at, initial=started, robot=robot, options=options, on_cloud=tick
+                clouds, model, region=within, initial=started, told_in=Told(at, robot), options=options, on_cloud=tick
             )
             for each, files in zip(answers, outputs, strict=True):
                 if len(clouds) == 1 and each.error:

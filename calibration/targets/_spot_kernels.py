@@ -12,6 +12,7 @@ rho^2 = x' Q x, which is exact for circles and exact to first order near the out
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +120,10 @@ def _components(mask: NDArray[np.uint8], least: int) -> tuple[Labels, Array]:
 
 
 def _shapes(image: Image32, labels: Labels, table: Array, clip: float) -> Array:
+    """Levels, noise and moments of every spot, each turn from the outline and the blur of the turn before.
+
+    One loop: fifteen sums over the pixels of a spot grow together, and cut apart each part would read the pixels again.
+    """
     height, width = image.shape
     out = np.full((len(table), 17), np.nan)
     inner, outer = np.empty(_BUFFER), np.empty(_BUFFER)
@@ -293,19 +298,24 @@ def _dot(a: Array, b: Array, n: int) -> float:
 _dot = cached(fastmath=True)(_dot)
 
 
-def _edges(
-    image: Image32,
-    labels: Labels,
-    owner: Labels,
-    spots: Array,
-    noise: Array,
-    ragged: float,
-    low: float,
-    high: float,
-    turns: int,
-    cut: float,
-) -> Array:
+class EdgeRules(NamedTuple):
+    """How edges are fitted."""
+
+    ragged: float  # px^2, variance of the outlines
+    low: float  # part of the contrast, below which light is cut off
+    high: float  # likewise above
+    turns: int  # steps of Gauss and Newton at most
+    cut: float  # standard deviations at which a residual is cut
+
+
+def _edges(image: Image32, labels: Labels, owner: Labels, spots: Array, noise: Array, rules: EdgeRules) -> Array:
+    """Fit the edge of every spot: position, shape and blur by least squares over the pixels about its outline.
+
+    One loop: a pixel's row of the normal equations is made from a dozen numbers of its spot, and handing them from function
+    to function a pixel costs more time than the arithmetic.
+    """
     height, width = image.shape
+    ragged, low, high, turns, cut = rules
     out = np.full((len(spots), 12), np.nan)
     m, step, inverse = np.empty((6, 6)), np.empty(6), np.empty((2, 6))
     j = np.empty((8, _BUFFER))

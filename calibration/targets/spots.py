@@ -278,10 +278,12 @@ def _fit_edges(
     high = max(0.6, 1.0 - 4.0 * spread) if spread > _LEAST_TEXTURE else np.inf
     owner = (chosen + 1).astype(np.int32)
     some = np.linspace(0, len(shapes) - 1, min(len(shapes), _SAMPLE)).astype(np.intp)
-    first = kernel.edges(light, labels, owner[some], shapes[some], variance[some], 0.0, _FOOT, high, 3, _CUT)
+    rules = kernel.EdgeRules(0.0, _FOOT, float(high), 3, _CUT)
+    first = kernel.edges(light, labels, owner[some], shapes[some], variance[some], rules)
     ragged = first[np.isfinite(first[:, kernel.RAGGED]), kernel.RAGGED]
     tau2 = max(0.0, float(np.median(ragged))) if len(ragged) else 0.0
-    return np.asarray(kernel.edges(light, labels, owner, shapes, variance, tau2, _FOOT, high, 5, _CUT))
+    rules = kernel.EdgeRules(tau2, _FOOT, float(high), 5, _CUT)
+    return np.asarray(kernel.edges(light, labels, owner, shapes, variance, rules))
 
 
 def _typical_spread(correlated: Array) -> float:

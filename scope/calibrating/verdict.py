@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -121,7 +121,7 @@ def judge_jig(
         "warnings": [*([corner] if corner else []), *stages.warnings],
     }
     open_, notes = _open(fit, held, bound)
-    verdict = _verdict(plan, seen, rows, lasers, faults, content, planes=len(fit.marks), open_=open_, notes=notes)
+    verdict = _verdict(plan, seen, rows, lasers, faults, content, _Said(len(fit.marks), open_, notes))
     return Verdict(verdict.verification, verdict.content, inside, agreement, held)
 
 
@@ -194,8 +194,7 @@ def judge_freehand(
         lasers,
         [*_moved(seen), *_of_marks(seen, many=False)],
         content,
-        planes=0,
-        open_=undetermined(fit, advice),
+        _Said(0, undetermined(fit, advice)),
     )
     return Verdict(verdict.verification, verdict.content, held_out=held, coverage=coverage)
 
@@ -316,6 +315,14 @@ def _moved(seen: list[MeasuredPlane]) -> list[dict[str, Any]]:
     return faults
 
 
+class _Said(NamedTuple):
+    """What else there is to a verdict."""
+
+    planes: int  # that were fitted
+    left_open: Sequence[str] = ()  # reasons not to pass
+    notes: Sequence[str] = ()  # what must be said although it passes
+
+
 def _verdict(
     plan: CalibrationPlan,
     seen: list[MeasuredPlane],
@@ -323,12 +330,10 @@ def _verdict(
     lasers: dict[str, Laser],
     faults: list[dict[str, Any]],
     content: dict[str, Any],
-    *,
-    planes: int,
-    open_: Sequence[str] = (),
-    notes: Sequence[str] = (),
+    said: _Said,
 ) -> Verdict:
-    """Faults, limits that do not hold, and what is left open (``open_``) each end in "not passed"; ``notes`` are told."""
+    """Faults, limits that do not hold, and what is left open each end in "not passed"; notes are told."""
+    planes, open_, notes = said
     failed = [*[str(fault["remedy"]) for fault in faults if fails(fault)], *open_]
     failed += _beyond(plan, seen, lasers, content["ray_mm"])
     passed = not failed

@@ -78,7 +78,7 @@ def fit_plane_feature(part: OnPart, rows: Ints, normal: Array) -> Fitted:
     if extent[0] < 0.02 * extent[1]:
         raise MeasurementError("its points lie on one line; scan more of it")
     direction = np.broadcast_to(normal, (len(rows), 3))
-    return _with_errors("plane", part, rows, frame, origin, value, residual, influence, direction)
+    return _with_errors("plane", part, rows, frame, origin, (value, residual, influence), direction)
 
 
 def fit_hole_feature(part: OnPart, rows: Ints, point: Array, axis: Array, radius: float) -> Fitted:
@@ -116,14 +116,21 @@ def fit_hole_feature(part: OnPart, rows: Ints, point: Array, axis: Array, radius
         )
     along = (part.points[rows] - point) @ axis
     return _with_errors(
-        "hole", part, rows, frame, point + axis * along.mean(), value, residual, influence, out @ frame[:2]
+        "hole", part, rows, frame, point + axis * along.mean(), (value, residual, influence), out @ frame[:2]
     )
 
 
 def _with_errors(
-    kind: str, part: OnPart, rows: Ints, frame: Array, origin: Array, value: Array, residual: Array, influence: Array, direction: Array
-) -> Fitted:  # fmt: skip
+    kind: str,
+    part: OnPart,
+    rows: Ints,
+    frame: Array,
+    origin: Array,
+    solved: tuple[Array, Array, Array],
+    direction: Array,
+) -> Fitted:
     """Errors of patches correlated in any way (sandwich), never less than sigma alone makes; the calibration's by its own parameters."""
+    value, residual, influence = solved
     side = max(float(np.ptp(part.points[rows], axis=0).max()) / 12, 1e-6)
     label = patches(part.points[rows], side)
     groups = int(label.max()) + 1

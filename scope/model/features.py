@@ -80,14 +80,15 @@ def features_of(vertices: Array, faces: Ints) -> Features:
     length = np.linalg.norm(cross, axis=1)
     normal = np.divide(cross, length[:, None], out=np.zeros_like(cross), where=length[:, None] > 0)
     area = 0.5 * length
-    first, second, a, b = _twins(vertices, faces)
+    twins = _twins(vertices, faces)
+    first, second = twins[:2]
     cosine = (normal[first] * normal[second]).sum(axis=1)
     unknown = np.full(len(faces), -1, dtype=np.int64)
     if len(faces) > MOST_FACES:
-        return Features((), (), _edges(corners, normal, first, second, a, b, cosine, vertices), unknown, unknown)
+        return Features((), (), _edges(corners, normal, twins, cosine, vertices), unknown, unknown)
     flat, face_of = _flat_faces(corners, normal, area, first, second, cosine)
     rounds, feature_of = _rounds(corners, normal, area, first, second, cosine, face_of >= 0)
-    return Features(flat, rounds, _edges(corners, normal, first, second, a, b, cosine, vertices), face_of, feature_of)
+    return Features(flat, rounds, _edges(corners, normal, twins, cosine, vertices), face_of, feature_of)
 
 
 def _twins(vertices: Array, faces: Ints) -> tuple[Ints, Ints, Ints, Ints]:
@@ -185,8 +186,9 @@ def _cylinder(corners: Array, normal: Array, area: Array, rows: Ints) -> RoundFe
 
 
 def _edges(
-    corners: Array, normal: Array, first: Ints, second: Ints, a: Ints, b: Ints, cosine: Array, vertices: Array
+    corners: Array, normal: Array, twins: tuple[Ints, Ints, Ints, Ints], cosine: Array, vertices: Array
 ) -> Edges:
+    first, second, a, b = twins
     sharp = cosine < np.cos(SHARP)
     one, two = first[sharp], second[sharp]
     start, end = vertices[a[sharp]], vertices[b[sharp]]

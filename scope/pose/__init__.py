@@ -12,7 +12,7 @@ from scope.pose.estimate import estimate_pose
 from scope.pose.placed import Placed, frame_of, place, read_robot_from_camera, read_transform, write_deviation
 from scope.pose.search import normals_of, thin
 from scope.pose.segmentation import largest_plane
-from scope.pose.several import BAD_DATA, Sighted, poses_of, poses_table, sighted_result
+from scope.pose.several import BAD_DATA, Sighted, Told, poses_of, poses_table, sighted_result
 from scope.pose.uncertainty import shared_errors
 from scope.pose.visibility import sheet_and_window, viewpoints
 from scope.pose.wording import CONVENTION, notations_text, pose_json, pose_result, pose_text
@@ -33,6 +33,7 @@ __all__ = [
     "pose_json",
     "pose_result",
     "pose_text",
+    "Told",
     "poses_of",
     "poses_table",
     "read_robot_from_camera",

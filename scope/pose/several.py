@@ -40,14 +40,21 @@ class Sighted:
         return FOUND if self.placed.result.found else NOT_SURE
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """Of which position, and in which robot's base, poses are told."""
+
+    at: str = "last"
+    robot: RobotEnd | None = None
+
+
 def poses_of(
     clouds: Sequence[Path],
     model: Path,
     *,
     region: Region | None = None,
-    at: str = "last",
     initial: Pose | None = None,
-    robot: RobotEnd | None = None,
+    told_in: Told = Told(),
     options: PoseOptions | None = None,
     on_cloud: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Iterator[Sighted]:
@@ -59,8 +66,10 @@ def poses_of(
         Cloud files, one open at a time.
     model : path
         Mesh of the part, read and prepared once.
-    region, at, initial, robot, options
-        As for a single cloud: `estimate_pose`, `place`.
+    region, initial, options
+        As for a single cloud: `estimate_pose`.
+    told_in : Told
+        Of which position, and in which robot's base, the poses are told: `place`.
     on_cloud : callable
         Told (done, total) after each.
 
@@ -74,9 +83,11 @@ def poses_of(
         cloud = None
         try:
             cloud = ScanCloud.load(path)
-            frame_of(cloud, at)
+            frame_of(cloud, told_in.at)
             result = estimate_pose(cloud, prepared, region=region, initial=initial, options=options)
-            yield Sighted(path, cloud, place(cloud, result, at, robot), unread=unknown(cloud, path.name))
+            yield Sighted(
+                path, cloud, place(cloud, result, told_in.at, told_in.robot), unread=unknown(cloud, path.name)
+            )
         except ScopeError as error:
             told = " ".join(str(error).split())
             yield Sighted(path, cloud, None, told if str(path) in told else f"{path}: {told}")
