@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ranging.stripe.extraction import Along, StripeOptions, extract
 
 _SMOOTH = 1.5  # px between neighbouring lines of a stripe
 _RUN = 8  # lines of one course, from which light counts as a stripe
+_NARROW = 6.0  # px, one sigma: in the excess of a colour, what is left of a stripe that is clipped white looks like a wide one
 _MORE = 2.0  # times as much of the stripe must another channel show to be taken
 
 
@@ -52,6 +54,7 @@ def _lines(
 ) -> int:
     """Number of lines that belong to a run of stripe."""
     dark = None if background is None else to_gray(background, channel)
+    options = replace(options or StripeOptions(), maximum_width=_NARROW)
     return sum(
         _in_runs(extract(to_gray(image, channel), along=along, options=options, background=dark).position)
         for image in images

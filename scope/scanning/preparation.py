@@ -108,7 +108,7 @@ def channel_of(asked: Asked, laser: Laser, sample: Sequence[Image]) -> Channel:
     usual = choose_channel(sample, channel, laser_off=asked.laser_off)  # type: ignore[arg-type]
     if asked.laser_off or channel.endswith("-excess") or channel == "gray":
         return usual
-    others = ("gray", "red", "green", "blue") if channel == "auto" else (channel,)
+    others = ("gray", "red", "green", "blue") if channel == "auto" or len(asked.lasers) == 1 else (channel,)
     return best_channel(sample, usual, others, along="rows" if laser.along == "rows" else "columns")  # type: ignore[arg-type]
 
 
