@@ -345,7 +345,8 @@ def _learn(first: _Fitted, noise: Noise | None, options: StripeOptions) -> tuple
         speckles.refit_lines(view, _camera(learnt), np.where(clipped, 0.0, contrast), grains, widths, table)
         if clipped.any():
             others = (table[t.SIGMA] / before)[~clipped & (contrast > 0)]
-            table[t.SIGMA, clipped] *= np.nanmedian(others) if len(others) else 1.0
+            others = others[np.isfinite(others)]
+            table[t.SIGMA, clipped] *= np.median(others) if len(others) else 1.0
     else:
         speckles.refit_lines(
             view, _camera(learnt), contrast, speckles.Grains(speckle.grain, speckles.HOLD), widths, table
