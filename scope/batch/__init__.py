@@ -2,10 +2,11 @@
 
 In: captures (or clouds), a rig, the commands to be done with each, and what of an earlier run can be kept.
 Out: one row a session with its exit status, reason and figures, as CSV or Parquet; the day in figures and on a page.
-Read: steps, session, figures, table, journal, engine, statistics, wording.
+Read: steps, session, figures, table, journal, cluster, line, engine, statistics, wording. Work of any other kind: `each`.
 """
 
 from scope.batch.engine import Day, DayOptions, run_day
+from scope.batch.line import each
 from scope.batch.session import Answer, Job, Outcome, run_session, sessions_of
 from scope.batch.statistics import Chart, GaugeStudy, capability, control_chart, gauge_study
 from scope.batch.steps import Step, parse_steps
@@ -26,6 +27,7 @@ __all__ = [
     "day_page",
     "day_result",
     "day_text",
+    "each",
     "gauge_study",
     "parse_steps",
     "read_rows",
