@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, progress, say, user_errors
+from cli.console import EXIT_NOT_TO_BE_USED, Jobs, Json, Quiet, Report, Scheduler, emit, progress, say, user_errors
 
 if TYPE_CHECKING:
     from scope.batch import Answer
@@ -32,11 +32,8 @@ def batch(
     do: Annotated[str, typer.Option("--do", help='"scan; pose --model part.stl; check -a sphere:d=34"')] = "scan",
     rig: Annotated[Path | None, typer.Option("--rig", "-r", help="Calibrated rig.")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Table of the day: .csv or .parquet.")] = Path("day.csv"),
-    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Worker processes on this machine.")] = 1,
-    scheduler: Annotated[
-        str,
-        typer.Option("--scheduler", help="Address of a Dask scheduler, such as tcp://head:8786, in place of --jobs."),
-    ] = "",
+    jobs: Jobs = 1,
+    scheduler: Scheduler = "",
     resume: Annotated[
         bool, typer.Option("--resume", help="Keep rows of an earlier run whose files and options are the same.")
     ] = False,

@@ -35,6 +35,11 @@ NoHistory = Annotated[
     bool,
     typer.Option("--no-history", help="Keep no record in the history.db beside the result.", callback=_no_history),
 ]
+Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Worker processes on this machine.")]
+Scheduler = Annotated[
+    str,
+    typer.Option("--scheduler", help="Address of a Dask scheduler, such as tcp://head:8786, in place of --jobs."),
+]
 Report = Annotated[Path | None, typer.Option("--report", help="Write a self-contained HTML page.")]
 
 

@@ -5,13 +5,27 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calibration.errors import ScopeError
-from cli.console import EXIT_NOT_TO_BE_USED, Json, NoHistory, Quiet, Report, emit, note, progress, say, user_errors
+from cli.console import (
+    EXIT_NOT_TO_BE_USED,
+    Jobs,
+    Json,
+    NoHistory,
+    Quiet,
+    Report,
+    Scheduler,
+    emit,
+    note,
+    progress,
+    say,
+    user_errors,
+)
 
 if TYPE_CHECKING:
     from scope.cloud import Region
@@ -154,6 +168,8 @@ def check(
     ],
     tolerance: Annotated[float | None, typer.Option("--tolerance", help="Largest error allowed, mm.")] = None,
     region: Where = None,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = "",
     no_history: NoHistory = False,  # noqa: ARG001  (its callback acts)
     report: Report = None,
     as_json: Json = False,
@@ -161,6 +177,7 @@ def check(
 ) -> None:
     """Compare scans of something known with what is known of it; exit 3 where it is out of tolerance."""
     from calibration.atomic import require_folder, write_text
+    from scope.batch import each
     from scope.check import (
         Artefact,
         ArtefactCheck,
@@ -188,7 +205,9 @@ def check(
             checks: tuple[ArtefactCheck, ...] = (check_artefact(scans[0], known, tolerance=tolerance, region=within),)
             told, text = check_result(checks[0]), check_text(checks[0])
         else:
-            repeat = check_repeats(scans, known, tolerance=tolerance, region=within)
+            repeat = check_repeats(
+                scans, known, tolerance=tolerance, region=within, each=partial(each, jobs=jobs, scheduler=scheduler)
+            )
             checks = repeat.checks
             told, repeatability = repeat_result(repeat), repeat.worst_mm
             text = "\n".join([*(check_text(c) for c in checks), f"repeatability {repeat.worst_mm:.4f} mm (one sigma)"])

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from scope.errors import MeasurementError
 from scope.pose import largest_plane, normals_of, shared_errors, sheet_and_window, thin, viewpoints
 
 Kind = Literal["sphere", "plane", "cylinder", "steps", "mesh"]
+Each: TypeAlias = "Callable[[Callable[[ScanCloud], ArtefactCheck], Sequence[ScanCloud]], Iterable[ArtefactCheck]]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,11 +170,15 @@ def check_repeats(
     *,
     tolerance: float | None = None,
     region: Region | None = None,
+    each: Each = lambda check, scans: [check(scan) for scan in scans],
 ) -> Repeatability:
-    """Compare several scans of one artefact and say how well they repeat; two scans or more, else ``ValueError``."""
+    """Compare several scans of one artefact and say how well they repeat; two scans or more, else ``ValueError``.
+
+    ``each`` checks the scans, one after the other unless it is told otherwise (`scope.batch.each`: on several processes).
+    """
     if len(clouds) < 2:
         raise ValueError("repeatability needs two scans or more")
-    checks = tuple(check_artefact(c, artefact, tolerance=tolerance, region=region) for c in clouds)
+    checks = tuple(each(partial(check_artefact, artefact=artefact, tolerance=tolerance, region=region), clouds))
     values = np.array([[s.measured for s in c.sizes] or [c.error_mm] for c in checks])
     return Repeatability(checks, tuple(float(x) for x in values.std(axis=0, ddof=1)))
 

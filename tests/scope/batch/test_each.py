@@ -6,10 +6,13 @@ import os
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from calibration.errors import FileError
 from scope.batch import each
+from scope.check import check_repeats
+from scope.cloud import ScanCloud
 
 
 def squared(number: int, folder: str) -> int:
@@ -45,3 +48,17 @@ def test_two_jobs_in_order_though_one_dies_and_an_error_stays_what_it_is(tmp_pat
 def test_no_job_is_an_argument() -> None:
     with pytest.raises(ValueError, match="jobs must be 1 or more"):
         each(len, ["a"], jobs=0)
+
+
+def test_repeats_of_a_check_on_workers_are_those_of_one_process() -> None:
+    pytest.importorskip("distributed")
+    scans = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        x, y = rng.uniform(-20, 20, (2, 400))
+        z = 300.0 + 0.01 * rng.standard_normal(400)
+        scans.append(ScanCloud.from_points(np.stack([x, y, z], axis=1)))
+    here = check_repeats(scans, "plane")
+    there = check_repeats(scans, "plane", each=partial(each, jobs=2))
+    assert [check.error_mm for check in there.checks] == [check.error_mm for check in here.checks]
+    assert there.deviation_mm == here.deviation_mm
