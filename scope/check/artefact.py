@@ -170,7 +170,7 @@ def check_repeats(
     *,
     tolerance: float | None = None,
     region: Region | None = None,
-    each: Each = lambda check, scans: [check(scan) for scan in scans],
+    each: Each = map,
 ) -> Repeatability:
     """Compare several scans of one artefact and say how well they repeat; two scans or more, else ``ValueError``.
 
