@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -46,6 +46,19 @@ class Positions:
                 f"{len(self.listed)} positions for frame {frame}; one a frame is needed: complete the list"
             )
         return float(self.listed[frame])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToldPositions(Positions):
+    """Positions that are told while the frames come: ``known`` grows, and holds a frame's before it is ranged."""
+
+    known: dict[int, float] = field(default_factory=dict)  # mm or rad, by frame
+
+    def at(self, frame: int) -> float:
+        """Position, mm or rad; ``RangingError`` for a frame of which none was told."""
+        if frame not in self.known:
+            raise RangingError(f"no position was told of frame {frame}; one a frame is needed")
+        return self.known[frame]
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)

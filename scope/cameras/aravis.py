@@ -155,15 +155,14 @@ class AravisCamera:
                     "(packet size, one camera a link)"
                 )
             return None
-        number, at = self._ids.next(
-            library.arv_buffer_get_frame_id(buffer), library.arv_buffer_get_timestamp(buffer) * 1e-9
-        )
+        stamp = library.arv_buffer_get_timestamp(buffer) * 1e-9
+        number, at = self._ids.next(library.arv_buffer_get_frame_id(buffer), stamp)
         size = ctypes.c_size_t()
         start = library.arv_buffer_get_data(buffer, ctypes.byref(size))
         data = np.ctypeslib.as_array((ctypes.c_uint8 * size.value).from_address(start))
         width, height = library.arv_buffer_get_image_width(buffer), library.arv_buffer_get_image_height(buffer)
         kind = library.arv_buffer_get_image_pixel_format(buffer)
-        return Shot(image_of(data, width, height, kind, self._asked.name), number, at)
+        return Shot(image_of(data, width, height, kind, self._asked.name), number, at, stamp=stamp)
 
     def set(self, name: str, value: float) -> None:
         """Set "exposure_us" or "gain"."""

@@ -145,10 +145,11 @@ class BaslerCamera:
             try:
                 if not found.GrabSucceeded():
                     continue  # its number is missing from the next one's
-                number, at = self._ids.next(found.BlockID, (found.TimeStamp or time.monotonic_ns()) * 1e-9)
+                stamp = (found.TimeStamp or time.monotonic_ns()) * 1e-9
+                number, at = self._ids.next(found.BlockID, stamp)
                 kind = int(found.GetPixelType()) & 0xFFFFFFFF
                 data = np.frombuffer(found.GetBuffer(), dtype=np.uint8)
-                return Shot(image_of(data, found.Width, found.Height, kind, self._asked.name), number, at)
+                return Shot(image_of(data, found.Width, found.Height, kind, self._asked.name), number, at, stamp=stamp)
             finally:
                 found.Release()
 

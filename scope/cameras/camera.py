@@ -36,6 +36,7 @@ class Shot:
     at: float  # s, by the clock of the camera, from its first frame
     name: str = ""  # of the file, where there is one
     background: Image | None = None  # the same with the laser off, where the camera took a pair
+    stamp: float | None = None  # s, the same moment as the camera's clock has it (PTP: of the day); None: it has none
 
 
 class Camera(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -125,11 +126,12 @@ class GenicamCamera:
         try:
             with self._acquirer.fetch(timeout=self._asked.timeout_s) as buffer:
                 part = buffer.payload.components[0]
-                number, at = self._ids.next(
-                    int(buffer.frame_id or self._ids.count + 1), float(buffer.timestamp_ns or 0) * 1e-9
-                )
+                stamp = float(buffer.timestamp_ns or time.monotonic_ns()) * 1e-9
+                number, at = self._ids.next(int(buffer.frame_id or self._ids.count + 1), stamp)
                 data = np.ascontiguousarray(part.data).view(np.uint8).ravel()
-                return Shot(image_of(data, part.width, part.height, part.data_format, self._asked.name), number, at)
+                return Shot(
+                    image_of(data, part.width, part.height, part.data_format, self._asked.name), number, at, stamp=stamp
+                )
         except CameraError:
             raise
         except Exception as error:

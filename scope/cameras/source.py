@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +14,7 @@ import numpy as np
 from calibration.errors import ScopeError
 from scope.cameras.camera import Camera, Shot
 from scope.cameras.drivers import open_camera
-from scope.session import HELD, Capture, Frame, Source, shape_text
+from scope.session import HELD, Capture, Follower, Frame, Source, shape_text
 from scope.session import open_source as open_files
 
 _SLOW = 1.25  # times the interval asked for, at which a camera counts as too slow
@@ -28,6 +30,7 @@ class Grabber:
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
         self.lost = 0
+        self.began = 0.0  # Unix time at which the first frame came
         self._queue: deque[Shot] = deque()
         self._bytes = 0
         self._ready = threading.Condition()
@@ -45,7 +48,7 @@ class Grabber:
     def next(self) -> Shot | None:
         """Next frame, waited for; None at the end. Raises what the camera raised, after the frames before it."""
         if self._thread is None:
-            return self.camera.read()
+            return self._read()
         with self._ready:
             self._ready.wait_for(lambda: self._queue or self._stopped)
             if self._queue:
@@ -64,10 +67,16 @@ class Grabber:
             self._thread.join()
         self.camera.close()
 
+    def _read(self) -> Shot | None:
+        shot = self.camera.read()
+        if shot is not None and not self.began:
+            self.began = time.time()
+        return shot
+
     def _run(self) -> None:
         while not self._stopped:
             try:
-                shot, end = self.camera.read(), None
+                shot, end = self._read(), None
             except ScopeError as error:
                 shot, end = None, error
             with self._ready:
@@ -92,6 +101,7 @@ class CameraSource:
     trouble: str = ""
     _ahead: deque[Frame] = field(default_factory=deque)
     _like: Shot | None = None
+    _first_at: float = 0.0  # s, of the first frame
     _times: deque[float] = field(default_factory=lambda: deque(maxlen=_LOOKED))
     _read: int = 0
     _ended: bool = False
@@ -153,7 +163,14 @@ class CameraSource:
             return None
         number = shot.number // 2 if self.capture.background_mode == "alternate" else shot.number
         self._read += 1
-        return Frame(number, shot.name or f"frame {number}", shot.image, shot.background, shot.at)
+        return Frame(number, shot.name or f"frame {number}", shot.image, shot.background, self._moment(shot))
+
+    def _moment(self, shot: Shot) -> float | None:
+        """Time of a frame by the clock that the log of positions has, s; None where the camera has no such clock."""
+        clock = "first-frame" if self.capture.follow is None else self.capture.follow.clock
+        if clock == "camera":
+            return shot.stamp
+        return shot.at if clock == "first-frame" else self.grabber.began + shot.at - self._first_at
 
     def _taken(self) -> tuple[Shot | None, str]:
         """Next frame or pair, and why there is none where the camera says so."""
@@ -169,14 +186,14 @@ class CameraSource:
         dark = self.grabber.next()
         while dark is not None:
             if shot.number % 2 == 0 and dark.number == shot.number + 1:
-                return Shot(shot.image, shot.number, shot.at, shot.name, dark.image)
+                return Shot(shot.image, shot.number, shot.at, shot.name, dark.image, shot.stamp)
             shot, dark = dark, self.grabber.next()  # a lost frame must not turn on into off
         return None
 
     def _unlike(self, shot: Shot) -> str:
         """What is wrong where a frame is unlike the first; empty where nothing is."""
         if self._like is None:
-            self._like = shot
+            self._like, self._first_at = shot, shot.at
         for image in (shot.image, shot.background):
             if image is not None and (image.shape != self._like.image.shape or image.dtype != self._like.image.dtype):
                 return (
@@ -204,6 +221,50 @@ class CameraSource:
             self.trouble = f"{lost} frames were lost ({self._read} came); each of the others keeps its own place"
 
 
+@dataclass(slots=True, eq=False)
+class Placed:
+    """Source whose frames wait until it is known where they stand; it ends with the first of which nobody tells."""
+
+    inner: Source
+    follower: Follower
+    _why: str = ""
+
+    @property
+    def count(self) -> int | None:
+        """Of the frames within."""
+        return self.inner.count
+
+    @property
+    def trouble(self) -> str:
+        """A position that did not come, or what troubles the frames within."""
+        return self._why or self.inner.trouble
+
+    @property
+    def endless(self) -> bool:
+        """As the frames within."""
+        return self.inner.endless
+
+    def first(self, count: int) -> list[Frame]:
+        """The first frames, wherever they stand."""
+        return self.inner.first(count)
+
+    def loaders(self, first: int) -> Iterator[Callable[[], Frame | None]]:
+        """Frames whose positions are known."""
+        placed = first
+        with closing(self.inner.loaders(first)) as loaders:  # type: ignore[type-var]
+            for load in loaders:
+                frame = load()
+                if frame is None:
+                    return
+                why = self.follower.place(frame.number, frame.at)
+                if why:
+                    self._why = f"{why}; {placed} frames are kept"
+                    return
+                placed += 1
+                yield lambda frame=frame: frame  # type: ignore[misc]
+
+
 def open_source(capture: Capture) -> Source:
-    """Where the frames of a capture come from: files, or a camera."""
-    return open_files(capture) if capture.driven is None else CameraSource.open(capture)
+    """Where the frames of a capture come from: files, or a camera; with their positions where these come meanwhile."""
+    source = open_files(capture) if capture.driven is None else CameraSource.open(capture)
+    return source if capture.follow is None else Placed(source, Follower(capture.follow))

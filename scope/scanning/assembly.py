@@ -41,12 +41,12 @@ def joined(parts: list[ScanCloud]) -> ScanCloud:
     return whole.select(np.lexsort((whole.laser, whole.frame)))
 
 
-def require_points(setup: ScanSetup, statistics: ScanStatistics) -> None:
-    """``RangingError`` where no frame gave a point."""
+def require_points(setup: ScanSetup, statistics: ScanStatistics, why: str = "") -> None:
+    """``RangingError`` where no frame gave a point; ``why`` is what the source says of it."""
     if statistics.points:
         return
     if not statistics.frames:
-        raise RangingError(f"{setup.owner}: no frame came; check the camera or the video and scan again")
+        raise RangingError(f"{setup.owner}: {why or 'no frame came; check the camera or the video and scan again'}")
     reasons = ", ".join(f"{count} {reason}" for reason, count in statistics.rejected.most_common(3))
     most = statistics.rejected.most_common(1)[0][0] if statistics.rejected else ""
     raise RangingError(
@@ -85,7 +85,7 @@ def sensors_of(setup: ScanSetup, frames: list[int]) -> Sensors:
 
 def assembled(setup: ScanSetup, cloud: ScanCloud, statistics: ScanStatistics, why: str, seconds: float) -> Scan:
     """Sensors, normals, filters and the agreement of lasers; ``RangingError`` where no frame gave a point."""
-    require_points(setup, statistics)
+    require_points(setup, statistics, why)
     numbers = np.unique(cloud.frame).tolist()
     cloud = replace(described(setup, cloud, why, statistics), sensors=sensors_of(setup, numbers))
     agreement = agreements(cloud)

@@ -82,7 +82,7 @@ def scan_to_file(
                 stream.close()
             if statistics.points == 0:  # nothing that were worth resuming
                 part.unlink(missing_ok=True)
-    require_points(setup, statistics)
+    require_points(setup, statistics, why)
     if out.suffix.lower() == ".ply" and len(setup.lasers) == 1 and not options.normals and not options.filters.any:
         _write_streamed(out, part, setup, statistics, why)
         found = scan_of(

@@ -3,7 +3,7 @@
 In: calibration.toml, capture.toml, folders of images, videos; or the same from memory.
 Out: frozen descriptions of a calibration or a capture, and a source that decodes its frames ahead.
 Read: toml_file, camera_section, target_section, calibration_file, in_memory, robot_section, hand_eye_file,
-    hand_eye, capture, images, frames, templates, commented.
+    hand_eye, following, positions, capture, images, frames, templates, commented.
 """
 
 from scope.session.calibration_file import (
@@ -20,6 +20,7 @@ from scope.session.calibration_file import (
 from scope.session.camera_section import DRIVERS, ON_FILES, CameraSection, CameraSettings, camera_settings
 from scope.session.capture import Capture, StageUse, read_capture
 from scope.session.commented import FILES, write_commented
+from scope.session.following import Follow, Follower
 from scope.session.frames import (
     AHEAD,
     HELD,
@@ -60,6 +61,8 @@ __all__ = [
     "DRIVERS",
     "ENDINGS",
     "FILES",
+    "Follow",
+    "Follower",
     "Frame",
     "HELD",
     "HandEye",

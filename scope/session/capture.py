@@ -13,16 +13,19 @@ from pydantic import BeforeValidator, Discriminator, Field, Strict, Tag, model_v
 from calibration.errors import FileError
 from calibration.geometry import Array, Pose
 from calibration.notation import Notation
-from ranging.motion import Fixed, Linear, Motion, Poses, Positions, Turntable
+from ranging.motion import Fixed, Linear, Motion, Poses, Positions, ToldPositions, Turntable
 from ranging.robot import Robot
-from scope.session.camera_section import CameraSection, CameraSettings, camera_settings
+from scope.session.camera_section import TIMEOUT_S, CameraSection, CameraSettings, camera_settings
+from scope.session.following import GAP_S, Clock, Follow
 from scope.session.hand_eye import HandEye
+from scope.session.positions import csv_by_frame, listed_positions, logged_positions, rows_of_frames
 from scope.session.robot_section import Gives, read_pose_log
-from scope.session.toml_file import MM, Number, Section, Units, Vector, matching, numbers, read_csv, read_toml
+from scope.session.toml_file import MM, Number, Positive, Section, Units, Vector, matching, numbers, read_toml
 
 Channel = Literal["auto", "red", "green", "blue", "gray"]
 _MOST_NUMBERS = 1_000_000  # between the first and the last frame
 _ROBOT = ("hand_eye", "poses", "units", "notation", "gives")
+_LOGGED = ("log", "times", "clock", "delay", "gap")
 _MATRIX = tuple(f"m{i}{j}" for i in range(4) for j in range(4))
 
 
@@ -45,6 +48,11 @@ class MotionSection(Section):
     step: Number | None = None
     start: Number = 0.0
     positions: str | None = None
+    log: str | None = None
+    times: str | None = None
+    clock: Clock | None = None
+    delay: Number | None = None
+    gap: Positive | None = None
     poses: str | None = None
     convention: Literal["camera_from_object", "object_from_camera"] | None = None
     hand_eye: str | None = None
@@ -57,8 +65,18 @@ class MotionSection(Section):
     def _complete(self) -> MotionSection:
         allowed: dict[str, set[str]] = {
             "fixed": set(),
-            "linear": {"direction", "step", "start", "positions", "index", "moves"},
-            "turntable": {"axis", "axis_point", "axis_direction", "step", "start", "positions", "index", "moves"},
+            "linear": {"direction", "step", "start", "positions", "index", "moves", *_LOGGED},
+            "turntable": {
+                "axis",
+                "axis_point",
+                "axis_direction",
+                "step",
+                "start",
+                "positions",
+                "index",
+                "moves",
+                *_LOGGED,
+            },
             "poses": {"poses", "convention", "index"},
             "robot": {*_ROBOT, "index"},
         }
@@ -68,8 +86,13 @@ class MotionSection(Section):
             raise ValueError('direction is missing; give [x, y, z] in C, or "rig"')
         if self.kind == "turntable" and self.axis is None and (self.axis_point is None or self.axis_direction is None):
             raise ValueError('axis_point and axis_direction are needed, or axis = "rig"')
-        if self.kind in {"linear", "turntable"} and (self.step is None) == (self.positions is None):
-            raise ValueError("give either step or positions")
+        told = [key for key in ("step", "positions", "log") if getattr(self, key) is not None]
+        if self.kind in {"linear", "turntable"} and len(told) != 1:
+            raise ValueError(f"found {' and '.join(told) or 'none'} of step, positions, log; exactly one is needed")
+        if self.log is None and (other := [key for key in _LOGGED if getattr(self, key) is not None]):
+            raise ValueError(f"{other[0]} has a meaning with log only; remove it")
+        if self.log is not None and self.delay is None:
+            raise ValueError("delay is missing: seconds from a frame's time stamp to the log's time of its exposure")
         if self.kind in {"linear", "turntable"} and self.moves is None:
             raise ValueError(
                 'moves is missing, and the wrong one mirrors the motion; add moves = "object" (the sensor stands still) or '
@@ -161,6 +184,7 @@ class Capture:
     numbers: tuple[int, ...] | None  # frame number of each image where they come from the file names
     by_step: bool = False  # only the count of frames says how far the object has moved
     driven: CameraSettings | None = None  # the camera of [camera]
+    follow: Follow | None = None  # where positions are told while the camera runs
 
 
 def read_capture(path: Path) -> Capture:
@@ -188,13 +212,14 @@ def read_capture(path: Path) -> Capture:
     frame_numbers = _frame_numbers(path, raw, shown)
     require_motion(path, raw, len(shown))
     section = raw.motion or MotionSection()
-    motion = _motion(path, section, shown, mm)
+    follow = _follow(path, raw, mm)
+    motion = _motion(path, section, shown, mm, follow)
     lasers = None if raw.lasers is None else tuple(raw.lasers)
     index = raw.camera if isinstance(raw.camera, int) else None
     driven = camera_settings(raw.camera, folder) if isinstance(raw.camera, CameraSection) else None
     return Capture(
         path, raw.camera_id, images, video, index, raw.frames, background, mode, raw.channel, lasers, raw.sequence,
-        motion, frame_numbers, section.step is not None, driven,
+        motion, frame_numbers, section.step is not None, driven, follow,
     )  # fmt: skip
 
 
@@ -226,7 +251,9 @@ def _frame_numbers(path: Path, raw: CaptureSection, images: tuple[Path, ...]) ->
                 f'{path}: index = "filename" and the numbers run from {min(values)} to {max(values)}; frames are counted, '
                 f"{_MOST_NUMBERS} at most: rename the images or list `positions`"
             )
-        return tuple(v - min(values) for v in values) if raw.motion.step is not None else None
+        if raw.motion.step is not None:
+            return tuple(v - min(values) for v in values)
+        return values if raw.motion.kind in {"linear", "turntable"} else None
     if raw.motion.step is None or any(m is None for m in found):
         return None
     values = tuple(int(m.group(1)) for m in found if m is not None)
@@ -242,18 +269,25 @@ def _frame_numbers(path: Path, raw: CaptureSection, images: tuple[Path, ...]) ->
     return None
 
 
-def _motion(path: Path, section: MotionSection, images: tuple[Path, ...], mm: float) -> Motion | StageUse:
+def _motion(
+    path: Path, section: MotionSection, images: tuple[Path, ...], mm: float, follow: Follow | None
+) -> Motion | StageUse:
     if section.kind == "fixed":
         return Fixed()
     if section.kind == "robot":
         return _robot(path, section, images)
     if section.kind == "poses":
         return _poses(path, section, images, mm)
-    scale = mm if section.kind == "linear" else np.pi / 180.0
+    scale = _scale(section, mm)
     listed = None
-    if section.positions is not None:
-        listed = _listed_positions(path.parent / section.positions, images) * scale
-    positions = Positions(section.start * scale, (section.step or 0.0) * scale, listed)
+    if follow is not None:
+        positions: Positions = ToldPositions(0.0, 0.0, known=follow.known)
+    else:
+        if section.log is not None:
+            listed = _logged_positions(path, section, images) * scale
+        elif section.positions is not None:
+            listed = listed_positions(path.parent / section.positions, images, _by_name(section, images)) * scale
+        positions = Positions(section.start * scale, (section.step or 0.0) * scale, listed)
     sign = -1.0 if section.moves == "sensor" else 1.0
     if section.kind == "linear":
         if isinstance(section.direction, tuple):
@@ -264,45 +298,46 @@ def _motion(path: Path, section: MotionSection, images: tuple[Path, ...], mm: fl
     return Turntable(np.array(section.axis_point) * mm, section.axis_direction, positions=positions, sign=sign)
 
 
-def _rows_of_frames(path: Path, columns: dict[str, list[str]], images: tuple[Path, ...]) -> list[int]:
-    """Row of the CSV for each frame; every frame must have exactly one row."""
-    count = len(next(iter(columns.values())))
-    if "image" in columns:
-        rows = {name: k for k, name in enumerate(columns["image"])}
-        if len(rows) < count:
-            raise FileError(f"{path}: an image is named twice; keep one row for each")
-        missing = [image.name for image in images if image.name not in rows]
-        if missing:
-            raise FileError(
-                f"{path}: no row for {missing[0]} ({len(missing)} of {len(images)} frames missing); add them"
-            )
-        return [rows[image.name] for image in images]
-    frames = numbers(path, "frame", columns["frame"])
-    if not np.array_equal(frames, np.rint(frames)) or frames.min(initial=0) < 0:
-        raise FileError(f"{path}: column frame must hold whole numbers from 0")
-    rows_of = {int(frame): k for k, frame in enumerate(frames)}
-    if len(rows_of) < count:
-        raise FileError(f"{path}: a frame is listed twice; keep one row for each")
-    needed = len(images) or count
-    absent = [k for k in range(needed) if k not in rows_of]
-    if absent:
-        raise FileError(
-            f"{path}: {count} rows for {needed} frames; frame {absent[0]} has none: every frame needs its row (frames count "
-            "from 0 in the order of the sorted file names)"
-        )
-    return [rows_of[k] for k in range(needed)]
+def _scale(section: MotionSection, mm: float) -> float:
+    return mm if section.kind == "linear" else np.pi / 180.0
 
 
-def _header(path: Path, wanted: tuple[str, ...]) -> dict[str, list[str]]:
-    columns = read_csv(path, wanted, optional=("frame", "image"))
-    if "frame" not in columns and "image" not in columns:
-        raise FileError(f"{path}: the header names neither frame nor image; one of them must say which row is whose")
-    return columns
+def _follow(path: Path, raw: CaptureSection, mm: float) -> Follow | None:
+    """Positions that are told while a camera or a video runs; None for images, whose positions are all there."""
+    section = raw.motion
+    if section is None or raw.images is not None or (section.log is None and section.positions is None):
+        return None
+    if section.times is not None:
+        raise FileError(f"{path}: motion.times is for images; a camera and a video stamp their frames themselves")
+    if raw.video is not None and section.log is None:
+        return None
+    if raw.video is not None and section.clock not in (None, "first-frame"):
+        raise FileError(f"{path}: motion.clock = {section.clock!r} needs a [camera]; a video knows its own time only")
+    if isinstance(raw.camera, int) and section.log is not None:
+        raise FileError(f"{path}: motion.log needs time stamps; name the camera in a section [camera]")
+    wait = raw.camera.timeout_s if isinstance(raw.camera, CameraSection) else TIMEOUT_S if raw.video is None else 0.0
+    return Follow(
+        path.parent / (section.log or section.positions or ""), "frame" if section.log is None else "seconds", _scale(section, mm), {},
+        section.clock or "first-frame", section.delay or 0.0, section.gap or GAP_S, wait,
+    )  # fmt: skip
 
 
-def _listed_positions(path: Path, images: tuple[Path, ...]) -> Array:
-    columns = _header(path, ("position",))
-    return numbers(path, "position", columns["position"])[_rows_of_frames(path, columns, images)]
+def _by_name(section: MotionSection, images: tuple[Path, ...]) -> tuple[int, ...] | None:
+    """Frame of each image by the number in its name, where asked for."""
+    if section.index != "filename" or not images:
+        return None
+    return tuple(int(re.findall(r"\d+", image.stem)[-1]) for image in images)
+
+
+def _logged_positions(path: Path, section: MotionSection, images: tuple[Path, ...]) -> Array:
+    """Positions of images by their time stamps in a log of the stage."""
+    if section.times is None:
+        raise FileError(f"{path}: motion.times is missing; with images, name a CSV with header image,seconds")
+    if section.clock == "system":
+        raise FileError(f'{path}: motion.clock = "system" is for a [camera]; put the log\'s own time into times')
+    times, log = path.parent / section.times, path.parent / (section.log or "")
+    names = _by_name(section, images)
+    return logged_positions(log, times, images, names, delay=section.delay or 0.0, gap=section.gap or GAP_S)
 
 
 def _robot(path: Path, section: MotionSection, images: tuple[Path, ...]) -> Robot:
@@ -314,7 +349,7 @@ def _robot(path: Path, section: MotionSection, images: tuple[Path, ...]) -> Robo
         raise FileError(f"{path}: {section.hand_eye} did not pass ({found.why[:120]}); run scope hand-eye again")
     file = path.parent / section.poses
     log = read_pose_log(file, section.notation or "matrix", section.units or "mm", section.gives or "base_from_flange")
-    rows = _rows_of_frames(file, {log.key: list(log.names)}, images)
+    rows = rows_of_frames(file, {log.key: list(log.names)}, images)
     poses = tuple(log.base_from_flange(row) for row in rows)
     return Robot(
         found.mount, found.sensor, poses, found.covariance, (found.robot.mm, found.robot.rad), found.rig_sha256
@@ -323,10 +358,10 @@ def _robot(path: Path, section: MotionSection, images: tuple[Path, ...]) -> Robo
 
 def _poses(path: Path, section: MotionSection, images: tuple[Path, ...], mm: float) -> Poses:
     file = path.parent / (section.poses or "")
-    columns = _header(file, _MATRIX)
+    columns = csv_by_frame(file, _MATRIX)
     stacked = np.stack([numbers(file, name, columns[name]) for name in _MATRIX], axis=1).reshape(-1, 4, 4)
     poses = []
-    for row in _rows_of_frames(file, columns, images):
+    for row in rows_of_frames(file, columns, images):
         try:
             pose = Pose.from_matrix(stacked[row], tolerance=1e-3)
         except ValueError as error:

@@ -26,7 +26,9 @@ moves = "object"                    # or "sensor"
 direction = [1.0, 0.0, 0.0]         # in the rig's frame; or "rig", where a stage was calibrated
 step = 0.5                          # mm a frame
 start = 0.0
-# positions = "positions.csv"       # instead of start and step: header frame,position
+# positions = "positions.csv"       # instead of start and step: header frame,position; with a camera it may grow
+# log = "stage.csv"                 # instead: header seconds,position, met by the frames' time stamps
+# delay = 0.0                       # s to be added to those
 
 # [motion]
 # kind = "turntable"
