@@ -11,12 +11,10 @@ import numpy as np
 
 from scope.cameras._aravis_library import STATUS, SUCCESS, aravis
 from scope.cameras.camera import CameraInfo, Setting, Shot
-from scope.cameras.genicam_nodes import FrameIds, laser_nodes
+from scope.cameras.genicam_nodes import BUFFERS, FrameIds, LiveCamera, laser_nodes
 from scope.cameras.pixels import image_of
 from scope.errors import CameraError
 from scope.session import CameraSettings
-
-_BUFFERS = 24  # of one frame each, that the library fills while we work
 
 
 def aravis_cameras() -> list[CameraInfo]:
@@ -55,7 +53,7 @@ def _region(camera: int, name: str) -> tuple[int, int]:
     return width.value, height.value
 
 
-class AravisCamera:
+class AravisCamera(LiveCamera):
     """One camera; ``CameraError`` where it does not answer or refuses a setting that was asked for."""
 
     def __init__(self, settings: CameraSettings) -> None:
@@ -80,11 +78,6 @@ class AravisCamera:
         self._broken = 0
 
     @property
-    def info(self) -> CameraInfo:
-        """Driver, id, model and size."""
-        return self._info
-
-    @property
     def settings(self) -> Mapping[str, Setting]:
         """As the camera tells them; what it does not tell is None."""
         told: dict[str, Setting] = {}
@@ -101,21 +94,6 @@ class AravisCamera:
             told[name] = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
         return {**told, "trigger": self._asked.trigger}
 
-    @property
-    def dropped(self) -> int:
-        """By the numbers of the frames, and those that came in part."""
-        return self._ids.missing
-
-    @property
-    def waits(self) -> bool:
-        """A camera does not wait."""
-        return False
-
-    @property
-    def switches_laser(self) -> bool:
-        """Where a line was named."""
-        return self._asked.laser is not None
-
     def start(self) -> None:
         """Fill buffers from now on."""
         self._stop()
@@ -124,7 +102,7 @@ class AravisCamera:
         if not self._stream:
             raise CameraError(f"{self._asked.name}: gives no stream; another program may use it: close that")
         payload = self._call("arv_camera_get_payload", self._camera)
-        for _ in range(_BUFFERS):
+        for _ in range(BUFFERS):
             self._library.arv_stream_push_buffer(self._stream, self._library.arv_buffer_new(payload, None))
         self._call("arv_camera_start_acquisition", self._camera)
         self._running = True
@@ -134,9 +112,7 @@ class AravisCamera:
         while True:
             buffer = self._library.arv_stream_timeout_pop_buffer(self._stream, int(self._asked.timeout_s * 1e6))
             if not buffer:
-                raise CameraError(
-                    f"{self._asked.name}: gave no frame for {self._asked.timeout_s:g} s; check cable, power and trigger"
-                )
+                raise self._silent()
             try:
                 shot = self._shot(buffer)
             finally:

@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from scope.cameras.camera import CameraInfo, Setting, Shot
-from scope.cameras.genicam_nodes import FrameIds, laser_nodes
+from scope.cameras.camera import CameraInfo, Shot
+from scope.cameras.genicam_nodes import BUFFERS, FrameIds, NodeCamera
 from scope.cameras.pixels import image_of
 from scope.errors import CameraError, MissingLibraryError
 from scope.session import CameraSettings
-
-_BUFFERS = 24
-_NODES = {  # by setting: the names that generations of cameras give it
-    "exposure_us": ("ExposureTime", "ExposureTimeAbs"),
-    "gain": ("Gain", "GainAbs"),
-    "rate": ("AcquisitionFrameRate", "AcquisitionFrameRateAbs"),
-    "pixel_format": ("PixelFormat",),
-}
 
 
 def _pylon() -> Any:
@@ -59,7 +50,7 @@ def _size(device: Any) -> tuple[int, int] | None:
                 camera.Close()
 
 
-class BaslerCamera:
+class BaslerCamera(NodeCamera):
     """One camera; ``CameraError`` where it does not answer or refuses a setting that was asked for."""
 
     def __init__(self, settings: CameraSettings) -> None:
@@ -89,42 +80,12 @@ class BaslerCamera:
             self.close()
             raise
 
-    @property
-    def info(self) -> CameraInfo:
-        """Driver, id, model and size."""
-        return self._info
-
-    @property
-    def settings(self) -> Mapping[str, Setting]:
-        """As the camera tells them; what it does not tell is None."""
-        told: dict[str, Setting] = {}
-        for name in _NODES:
-            node = self._node(name)
-            value = None if node is None else node.GetValue()
-            told[name] = value if value is None or isinstance(value, str) else float(value)
-        return {**told, "trigger": self._asked.trigger}
-
-    @property
-    def dropped(self) -> int:
-        """By the numbers of the frames."""
-        return self._ids.missing
-
-    @property
-    def waits(self) -> bool:
-        """A camera does not wait."""
-        return False
-
-    @property
-    def switches_laser(self) -> bool:
-        """Where a line was named."""
-        return self._asked.laser is not None
-
     def start(self) -> None:
         """Fill buffers from now on."""
         try:
             self._camera.StopGrabbing()
             self._ids = FrameIds()
-            self._camera.MaxNumBuffer.Value = _BUFFERS
+            self._camera.MaxNumBuffer.Value = BUFFERS
             self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
         except self._pylon.GenericException as error:
             raise self._failed(error) from error
@@ -139,9 +100,7 @@ class BaslerCamera:
             except self._pylon.GenericException as error:
                 raise self._failed(error) from error
             if not found.IsValid():
-                raise CameraError(
-                    f"{self._asked.name}: gave no frame for {self._asked.timeout_s:g} s; check cable, power and trigger"
-                )
+                raise self._silent()
             try:
                 if not found.GrabSucceeded():
                     continue  # its number is missing from the next one's
@@ -153,63 +112,25 @@ class BaslerCamera:
             finally:
                 found.Release()
 
-    def set(self, name: str, value: float) -> None:
-        """Set "exposure_us" or "gain"."""
-        self._write(name, value)
-
-    def switch_laser(self, on: bool) -> None:
-        """By the output line of the settings."""
-        try:
-            for name, value in laser_nodes(self._asked.laser, on=on):
-                self._camera.GetNodeMap().GetNode(name).FromString(
-                    str(value).lower() if isinstance(value, bool) else value
-                )
-        except (AttributeError, self._pylon.GenericException) as error:
-            raise self._failed(error) from error
-
     def close(self) -> None:
         """Stop and let go."""
         with suppress(self._pylon.GenericException):
             self._camera.StopGrabbing()
             self._camera.Close()
 
-    def _apply(self) -> None:
-        asked = self._asked
-        for name in ("pixel_format", "exposure_us", "gain"):
-            if (value := getattr(asked, name)) is not None:
-                self._write(name, value)
-        if asked.trigger is not None:
-            for name, value in (
-                ("TriggerSelector", "FrameStart"),
-                ("TriggerSource", asked.trigger),
-                ("TriggerMode", "On"),
-            ):
-                self._camera.GetNodeMap().GetNode(name).FromString(value)
-        elif asked.rate is not None:
-            enable = self._camera.GetNodeMap().GetNode("AcquisitionFrameRateEnable")
-            if enable is not None:
-                enable.FromString("true")
-            self._write("rate", asked.rate)
+    def _find(self, name: str) -> Any:
+        return self._camera.GetNodeMap().GetNode(name)
 
-    def _node(self, setting: str) -> Any:
-        nodes = (self._camera.GetNodeMap().GetNode(name) for name in _NODES[setting])
-        return next((node for node in nodes if node is not None), None)
+    def _get(self, node: Any) -> Any:
+        return node.GetValue()
 
-    def _write(self, setting: str, value: float | str) -> None:
-        node = self._node(setting)
-        if node is None:
-            raise CameraError(f"{self._asked.name}: has no {setting}; leave it out")
-        try:
+    def _put(self, node: Any, value: float | str | bool) -> None:
+        if isinstance(value, float):
             node.SetValue(value)
-        except self._pylon.GenericException as error:
-            raise CameraError(f"{self._asked.name}: refuses {setting} = {value}: {_told(error)}") from error
+        else:
+            node.FromString(str(value).lower() if isinstance(value, bool) else str(value))
 
-    def _failed(self, error: Exception) -> CameraError:
-        return CameraError(
-            f"{self._asked.name}: {_told(error)}; check cable and power, and that no other program uses it"
-        )
-
-
-def _told(error: Exception) -> str:
-    """First sentence of pylon's message, without the place in its source."""
-    return " ".join(str(error).split(" : ")[0].split())[:160]
+    @staticmethod
+    def _told(error: Exception) -> str:
+        """First sentence of pylon's message, without the place in its source."""
+        return " ".join(str(error).split(" : ")[0].split())[:160] or type(error).__name__

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -11,14 +10,11 @@ from typing import Any
 import numpy as np
 
 from calibration.errors import FileError
-from scope.cameras.camera import CameraInfo, Setting, Shot
-from scope.cameras.genicam_nodes import FrameIds, laser_nodes
+from scope.cameras.camera import CameraInfo, Shot
+from scope.cameras.genicam_nodes import BUFFERS, FrameIds, NodeCamera
 from scope.cameras.pixels import image_of
 from scope.errors import CameraError, MissingLibraryError
 from scope.session import CameraSettings
-
-_BUFFERS = 24
-_NODES = {"exposure_us": "ExposureTime", "gain": "Gain", "rate": "AcquisitionFrameRate", "pixel_format": "PixelFormat"}
 
 
 def _harvester(producer: str) -> Any:
@@ -51,7 +47,7 @@ def genicam_cameras(producer: str) -> list[CameraInfo]:
         harvester.reset()
 
 
-class GenicamCamera:
+class GenicamCamera(NodeCamera):
     """One camera of a producer; ``CameraError`` where it does not answer or refuses a setting that was asked for."""
 
     def __init__(self, settings: CameraSettings) -> None:
@@ -69,7 +65,7 @@ class GenicamCamera:
                     f"{settings.name}: none answers at {Path(settings.producer or '').name}; check cable and power"
                 )
             self._acquirer = self._harvester.create(wanted[0])
-            self._acquirer.num_buffers = _BUFFERS
+            self._acquirer.num_buffers = BUFFERS
             self._apply()
             nodes, device = self._acquirer.remote_device.node_map, infos[wanted[0]]
             size = (int(nodes.Width.value), int(nodes.Height.value))
@@ -81,36 +77,6 @@ class GenicamCamera:
             self.close()
             raise self._failed(error) from error
         self._ids = FrameIds()
-
-    @property
-    def info(self) -> CameraInfo:
-        """Driver, id, model and size."""
-        return self._info
-
-    @property
-    def settings(self) -> Mapping[str, Setting]:
-        """As the camera tells them; what it does not tell is None."""
-        nodes = self._acquirer.remote_device.node_map
-        told: dict[str, Setting] = {}
-        for name, node in _NODES.items():
-            value = getattr(getattr(nodes, node, None), "value", None)
-            told[name] = value if value is None or isinstance(value, str) else float(value)
-        return {**told, "trigger": self._asked.trigger}
-
-    @property
-    def dropped(self) -> int:
-        """By the numbers of the frames."""
-        return self._ids.missing
-
-    @property
-    def waits(self) -> bool:
-        """A camera does not wait."""
-        return False
-
-    @property
-    def switches_laser(self) -> bool:
-        """Where a line was named."""
-        return self._asked.laser is not None
 
     def start(self) -> None:
         """Fill buffers from now on."""
@@ -135,18 +101,7 @@ class GenicamCamera:
         except CameraError:
             raise
         except Exception as error:
-            raise CameraError(
-                f"{self._asked.name}: gave no frame for {self._asked.timeout_s:g} s ({_told(error)}); check cable, power and trigger"
-            ) from error
-
-    def set(self, name: str, value: float) -> None:
-        """Set "exposure_us" or "gain"."""
-        self._write(_NODES[name], float(value))
-
-    def switch_laser(self, on: bool) -> None:
-        """By the output line of the settings."""
-        for name, value in laser_nodes(self._asked.laser, on=on):
-            self._write(name, value)
+            raise CameraError(f"{self._silent()} ({self._told(error)})") from error
 
     def close(self) -> None:
         """Stop and let go."""
@@ -157,35 +112,11 @@ class GenicamCamera:
         with suppress(Exception):
             self._harvester.reset()
 
-    def _apply(self) -> None:
-        asked = self._asked
-        for setting in ("pixel_format", "exposure_us", "gain"):
-            if (value := getattr(asked, setting)) is not None:
-                self._write(_NODES[setting], value)
-        if asked.trigger is not None:
-            for name, text in (
-                ("TriggerSelector", "FrameStart"),
-                ("TriggerSource", asked.trigger),
-                ("TriggerMode", "On"),
-            ):
-                self._write(name, text)
-        elif asked.rate is not None:
-            self._write("AcquisitionFrameRate", asked.rate)
+    def _find(self, name: str) -> Any:
+        return getattr(self._acquirer.remote_device.node_map, name, None)
 
-    def _write(self, name: str, value: float | str | bool) -> None:
-        node = getattr(self._acquirer.remote_device.node_map, name, None)
-        if node is None:
-            raise CameraError(f"{self._asked.name}: has no {name}; leave it out")
-        try:
-            node.value = value
-        except Exception as error:
-            raise CameraError(f"{self._asked.name}: refuses {name} = {value}: {_told(error)}") from error
+    def _get(self, node: Any) -> Any:
+        return getattr(node, "value", None)
 
-    def _failed(self, error: Exception) -> CameraError:
-        return CameraError(
-            f"{self._asked.name}: {_told(error)}; check cable and power, and that no other program uses it"
-        )
-
-
-def _told(error: Exception) -> str:
-    return " ".join(str(error).split())[:160] or type(error).__name__
+    def _put(self, node: Any, value: float | str | bool) -> None:
+        node.value = value
