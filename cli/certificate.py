@@ -1,18 +1,178 @@
-"""`scope certificate`."""
+"""`scope check` and `scope certificate`: how far a scanner can be relied upon."""
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cli.console import EXIT_NOT_TO_BE_USED, AllowEdited, Json, Quiet, emit, say, user_errors
+from cli.console import (
+    EXIT_NOT_TO_BE_USED,
+    AllowEdited,
+    Jobs,
+    Json,
+    NoHistory,
+    Quiet,
+    Report,
+    Scheduler,
+    emit,
+    note,
+    progress,
+    say,
+    user_errors,
+    write_init,
+)
+from cli.locate import Where, region_of, usage
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command of this file."""
+    """Add the commands of this file."""
+    app.command()(check)
     app.command()(certificate)
+
+
+def check(
+    clouds: Annotated[
+        list[Path] | None, typer.Argument(help="One scan, or several of the same artefact for repeatability.")
+    ] = None,
+    artefact: Annotated[
+        str | None,
+        typer.Option("--artefact", "-a", help="sphere:d=40, plane, cylinder:d=20, steps:5,10,20 or mesh:file."),
+    ] = None,
+    acceptance: Annotated[
+        Path | None,
+        typer.Option("--acceptance", help="acceptance.toml: a test by standard, with its scans; no clouds then."),
+    ] = None,
+    tolerance: Annotated[float | None, typer.Option("--tolerance", help="Largest error allowed, mm.")] = None,
+    region: Where = None,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = "",
+    init: Annotated[
+        bool, typer.Option("--init", help="Write the file of --acceptance with comments, to fill in.")
+    ] = False,
+    no_history: NoHistory = False,  # noqa: ARG001  (its callback acts)
+    report: Report = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare scans of something known with what is known of it; exit 3 where it is out of tolerance."""
+    with usage():
+        if init or acceptance is not None:
+            if clouds or artefact or region or tolerance is not None or acceptance is None:
+                raise ValueError(
+                    "--acceptance FILE names its scans, artefacts and limits itself: give no clouds, --artefact, --tolerance or --region "
+                    "beside it, and --init only with it"
+                )
+        elif not clouds or artefact is None:
+            raise ValueError("give scans and --artefact, such as scan.ply --artefact sphere:d=40; or --acceptance FILE")
+    if init and acceptance is not None:
+        write_init(acceptance, "acceptance.toml", f"scope check --acceptance {acceptance}", quiet=quiet)
+    elif acceptance is not None:
+        _acceptance(acceptance, report, as_json=as_json, quiet=quiet)
+    else:
+        _artefact(
+            clouds or [],
+            artefact or "",
+            tolerance,
+            region,
+            report,
+            spread=(jobs, scheduler),
+            as_json=as_json,
+            quiet=quiet,
+        )
+
+
+def _acceptance(file: Path, report: Path | None, *, as_json: bool, quiet: bool) -> None:
+    from calibration.atomic import require_folder, write_text
+    from scope.acceptance import (
+        accept,
+        acceptance_figures,
+        acceptance_page,
+        acceptance_result,
+        acceptance_text,
+        read_acceptance,
+    )
+
+    with user_errors():
+        require_folder(report)
+        plan = read_acceptance(file)
+        with progress("measuring", quiet=quiet) as tick:
+            found = accept(plan, on_scan=tick)
+        if report is not None:
+            write_text(report, acceptance_page(found))
+            say(f"wrote {report}", quiet=quiet)
+    rig = found.rigs[0] if found.rigs else ""
+    note("check", file, acceptance_figures(found), passed=found.decision in {"pass", None}, rig=rig)
+    emit(acceptance_result(found), as_json=as_json, text=acceptance_text(found))
+    if found.decision not in {"pass", None}:
+        say("the scanner has not been shown to keep its limits", quiet=quiet)
+        raise typer.Exit(EXIT_NOT_TO_BE_USED)
+
+
+def _artefact(
+    clouds: list[Path],
+    artefact: str,
+    tolerance: float | None,
+    region: str | None,
+    report: Path | None,
+    *,
+    spread: tuple[int, str],
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    from calibration.atomic import require_folder, write_text
+    from scope.batch import each
+    from scope.check import (
+        Artefact,
+        ArtefactCheck,
+        check_artefact,
+        check_repeats,
+        check_result,
+        check_text,
+        out_of_tolerance,
+        repeat_result,
+    )
+    from scope.cloud import ScanCloud, unknown
+    from scope.history import check_figures
+    from scope.report import check_page
+
+    with user_errors():
+        with usage():
+            known = Artefact.parse(artefact)
+            within = region_of(region)
+            if tolerance is not None and not tolerance > 0:
+                raise ValueError(f"--tolerance {tolerance:g} must be positive, mm")
+        require_folder(report)
+        repeatability = None
+        scans = [ScanCloud.load(path) for path in clouds]
+        if len(scans) == 1:
+            checks: tuple[ArtefactCheck, ...] = (check_artefact(scans[0], known, tolerance=tolerance, region=within),)
+            told, text = check_result(checks[0]), check_text(checks[0])
+        else:
+            repeat = check_repeats(
+                scans,
+                known,
+                tolerance=tolerance,
+                region=within,
+                each=partial(each, jobs=spread[0], scheduler=spread[1]),
+            )
+            checks = repeat.checks
+            told, repeatability = repeat_result(repeat), repeat.worst_mm
+            text = "\n".join([*(check_text(c) for c in checks), f"repeatability {repeat.worst_mm:.4f} mm (one sigma)"])
+        if report is not None:
+            named = [(path.name, scan) for path, scan in zip(clouds, scans, strict=True)]
+            write_text(report, check_page(checks, named, tolerance=tolerance, repeatability=repeatability))
+            say(f"wrote {report}", quiet=quiet)
+    for path, scan in zip(clouds, scans, strict=True):
+        if unread := unknown(scan, path.name):
+            say(unread, quiet=quiet)
+    note("check", clouds[0], check_figures(told), passed=not out_of_tolerance(checks), rig=scans[0].rig_sha256)
+    emit(told, as_json=as_json, text=text)
+    if out_of_tolerance(checks):
+        say("do not rely on this scanner before it is calibrated again", quiet=quiet)
+        raise typer.Exit(EXIT_NOT_TO_BE_USED)
 
 
 def certificate(

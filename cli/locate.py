@@ -1,11 +1,10 @@
-"""`scope pose` and `scope check`."""
+"""`scope pose`, and what commands share that look for something in a cloud."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,14 +13,10 @@ import typer
 from calibration.errors import ScopeError
 from cli.console import (
     EXIT_NOT_TO_BE_USED,
-    Jobs,
     Json,
-    NoHistory,
     Quiet,
     Report,
-    Scheduler,
     emit,
-    note,
     progress,
     say,
     user_errors,
@@ -39,7 +34,6 @@ Where = Annotated[
 def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
     app.command()(pose)
-    app.command()(check)
 
 
 def pose(
@@ -87,9 +81,9 @@ def pose(
     from scope.pose import BAD_DATA, PoseOptions, Told, poses_of, read_robot_from_camera, read_transform
 
     with user_errors():
-        with _usage():
+        with usage():
             outputs = _outputs(clouds, deviation, report)
-            within = _region(region)
+            within = region_of(region)
             if at not in {"last", "first"} and not at.isdecimal():
                 raise ValueError(f"--at {at!r} is neither last nor first nor the number of a frame")
             if not 0 < part_tolerance < float("inf"):
@@ -161,72 +155,8 @@ def _emit_poses(found: list[Sighted], *, as_json: bool) -> None:
         emit([sighted_result(each) for each in found], as_json=as_json, text=poses_table(found))
 
 
-def check(
-    clouds: Annotated[list[Path], typer.Argument(help="One scan, or several of the same artefact for repeatability.")],
-    artefact: Annotated[
-        str, typer.Option("--artefact", "-a", help="sphere:d=40, plane, cylinder:d=20, steps:5,10,20 or mesh:file.")
-    ],
-    tolerance: Annotated[float | None, typer.Option("--tolerance", help="Largest error allowed, mm.")] = None,
-    region: Where = None,
-    jobs: Jobs = 1,
-    scheduler: Scheduler = "",
-    no_history: NoHistory = False,  # noqa: ARG001  (its callback acts)
-    report: Report = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Compare scans of something known with what is known of it; exit 3 where it is out of tolerance."""
-    from calibration.atomic import require_folder, write_text
-    from scope.batch import each
-    from scope.check import (
-        Artefact,
-        ArtefactCheck,
-        check_artefact,
-        check_repeats,
-        check_result,
-        check_text,
-        out_of_tolerance,
-        repeat_result,
-    )
-    from scope.cloud import ScanCloud, unknown
-    from scope.history import check_figures
-    from scope.report import check_page
-
-    with user_errors():
-        with _usage():
-            known = Artefact.parse(artefact)
-            within = _region(region)
-            if tolerance is not None and not tolerance > 0:
-                raise ValueError(f"--tolerance {tolerance:g} must be positive, mm")
-        require_folder(report)
-        repeatability = None
-        scans = [ScanCloud.load(path) for path in clouds]
-        if len(scans) == 1:
-            checks: tuple[ArtefactCheck, ...] = (check_artefact(scans[0], known, tolerance=tolerance, region=within),)
-            told, text = check_result(checks[0]), check_text(checks[0])
-        else:
-            repeat = check_repeats(
-                scans, known, tolerance=tolerance, region=within, each=partial(each, jobs=jobs, scheduler=scheduler)
-            )
-            checks = repeat.checks
-            told, repeatability = repeat_result(repeat), repeat.worst_mm
-            text = "\n".join([*(check_text(c) for c in checks), f"repeatability {repeat.worst_mm:.4f} mm (one sigma)"])
-        if report is not None:
-            named = [(path.name, scan) for path, scan in zip(clouds, scans, strict=True)]
-            write_text(report, check_page(checks, named, tolerance=tolerance, repeatability=repeatability))
-            say(f"wrote {report}", quiet=quiet)
-    for path, scan in zip(clouds, scans, strict=True):
-        if unread := unknown(scan, path.name):
-            say(unread, quiet=quiet)
-    note("check", clouds[0], check_figures(told), passed=not out_of_tolerance(checks), rig=scans[0].rig_sha256)
-    emit(told, as_json=as_json, text=text)
-    if out_of_tolerance(checks):
-        say("do not rely on this scanner before it is calibrated again", quiet=quiet)
-        raise typer.Exit(EXIT_NOT_TO_BE_USED)
-
-
 @contextmanager
-def _usage() -> Iterator[None]:
+def usage() -> Iterator[None]:
     """A wrong word on the command line is a matter of usage: exit 2 with one line."""
     try:
         yield
@@ -234,7 +164,6 @@ def _usage() -> Iterator[None]:
         raise typer.BadParameter(str(error)) from error
 
 
-def _region(text: str | None) -> Region | None:
-    from scope.cloud import parse_region
+def region_of(text: str | None) -> Region | None:
 
-    return None if text is None else parse_region(text)[1]
+    return None if text is None else parseregion_of(text)[1]

@@ -155,7 +155,7 @@ def check_artefact(
         return _steps(part, known, tolerance, span)
     if known.kind == "mesh":
         return _mesh(cloud, known, tolerance, region, span)
-    shape = _fitted(part, known)
+    shape = fit_artefact(part, known)
     sizes: tuple[Size, ...] = ()
     if known.kind != "plane":
         parts = (2 * shape.radius_se, 2 * shape.radius_shared, 2 * shape.radius_slope)
@@ -206,7 +206,8 @@ def shared_of(cloud: ScanCloud, camera: Array | None) -> Array:
     return sigma_cal[:, None] if basis is None else basis
 
 
-def _fitted(cloud: ScanCloud, known: Artefact) -> Shape:
+def fit_artefact(cloud: ScanCloud, known: Artefact) -> Shape:
+    """Sphere, cylinder or plane of a cloud; ``MeasurementError`` where there is none of this size."""
     points = cloud.points
     camera, ray = rays_of(cloud)
     shared, sigma = shared_of(cloud, camera), np.nan_to_num(cloud.sigma).astype(np.float64)
@@ -241,6 +242,7 @@ def _fitted(cloud: ScanCloud, known: Artefact) -> Shape:
 
 
 def _spacing(points: Array) -> float:
+    """Median distance of a point (N, 3) mm to its nearest neighbour."""
     from scipy.spatial import cKDTree
 
     some = points[:: max(1, len(points) // 1000)]

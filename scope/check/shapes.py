@@ -17,6 +17,15 @@ TRIALS = 600  # planes through three points that are tried as levels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PlaceErrors:
+    """What is known of a fitted centre; along an axis nothing is."""
+
+    scatter: Array  # (3, 3) mm2, covariance from the scatter, neighbours' errors alike
+    shared: Array  # (3, K) mm, movement by each of the K errors of the calibration, one sigma
+    slope: Array  # (3,) mm, movement by what slopes do to a stripe, one sigma
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Shape:
     """A fitted sphere, cylinder or plane."""
 
@@ -29,6 +38,7 @@ class Shape:
     radius_slope: float  # mm, the same through what slopes do to a stripe
     used: Bools  # (N,) points that took part
     residual: Array  # (N,) mm, outside positive
+    place: PlaceErrors | None = None  # of the centre of a sphere or cylinder
 
     def nearest(self, points: Array) -> Array:
         """Nearest points (N, 3) mm on the shape."""
@@ -94,7 +104,7 @@ def fit_shape(
             break
         limit = narrower
     residual, normal = _residual(kind, points, point, direction, radius)
-    errors = (0.0, 0.0, 0.0)
+    errors, place = (0.0, 0.0, 0.0), None
     if kind != "plane":
         if spread > 0.55 * reach:  # 0.74 of it where points are spread evenly
             raise MeasurementError(
@@ -103,8 +113,8 @@ def fit_shape(
             )
         patch = patches(points[used], radius / 5)
         sight = None if ray is None else ray[used]
-        errors = _radius_errors(jacobian, residual[used], normal[used], patch, sight, shared[used], sigma[used])
-    return Shape(kind, point, direction, radius, *errors, used, residual)
+        errors, place = _errors(jacobian, residual[used], normal[used], patch, sight, shared[used], sigma[used])
+    return Shape(kind, point, direction, radius, *errors, used, residual, place)
 
 
 def _residual(kind: str, points: Array, point: Array, direction: Array, radius: float) -> tuple[Array, Array]:
@@ -132,22 +142,24 @@ def _jacobian(kind: str, points: Array, normal: Array, point: Array, direction: 
     return j  # motion of the point along an axis or in a plane changes nothing: minimum-norm least squares leaves it
 
 
-def _radius_errors(
+def _errors(
     jacobian: Array, residual: Array, normal: Array, patch: Ints, ray: Array | None, shared: Array, sigma: Array
-) -> tuple[float, float, float]:
-    """Standard error of the radius from the scatter, and its standard deviations through the calibration and through slopes.
+) -> tuple[tuple[float, float, float], PlaceErrors]:
+    """Of the radius: standard error from the scatter, standard deviations through the calibration and through slopes; the same of the centre.
 
     Residuals within a patch may be correlated in any way (Liang & Zeger 1986).
     """
-    solve = np.linalg.pinv(jacobian, rcond=1e-10)[6]  # (N,)
-    push = np.bincount(patch, weights=solve * residual)
-    error = float(np.sqrt((push**2).sum() * len(push) / max(len(push) - 7, 1)))
-    if ray is None:
-        return error, 0.0, 0.0
-    along = (normal * ray).sum(axis=1)  # -1 where the surface faces the camera
-    moved = (solve * along) @ np.nan_to_num(shared)
-    slope = solve @ (np.nan_to_num(sigma) * (1.0 - np.abs(along)))
-    return error, float(np.linalg.norm(moved)), float(abs(slope))
+    solve = np.linalg.pinv(jacobian, rcond=1e-10)[[0, 1, 2, 6]]  # (4, N): the centre, then the radius
+    push = np.stack([np.bincount(patch, weights=row * residual) for row in solve])
+    groups = push.shape[1]
+    scatter = push @ push.T * groups / max(groups - 7, 1)
+    moved, slope = np.zeros((4, 1)), np.zeros(4)
+    if ray is not None:
+        along = (normal * ray).sum(axis=1)  # -1 where the surface faces the camera
+        moved = (solve * along) @ np.nan_to_num(shared)
+        slope = solve @ (np.nan_to_num(sigma) * (1.0 - np.abs(along)))
+    radius = (float(np.sqrt(scatter[3, 3])), float(np.linalg.norm(moved[3])), float(abs(slope[3])))
+    return radius, PlaceErrors(scatter[:3, :3], moved[:3], slope[:3])
 
 
 def _unit(vector: Array) -> Array:

@@ -3,7 +3,7 @@
 In: a cloud, the mesh of the part, and the features that are to be measured.
 Out: `Inspection`: pose, deviation map, plane distances and angles, flatness, holes, steps, each passed, failed or
     undecided (ISO 14253-1).
-Read: features_file, primitives, decision, measure, run, wording.
+Read: features_file, primitives, measure, run, wording.
 """
 
 from scope.inspection.features_file import Wanted, read_features

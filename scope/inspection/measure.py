@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.geometry import Array, Ints
+from scope.check import Decision, decide
 from scope.errors import MeasurementError
-from scope.inspection.decision import Decision, decide
 from scope.inspection.features_file import Wanted
 from scope.inspection.primitives import Fitted, OnPart, fit_hole_feature, fit_plane_feature
 from scope.model import Model, Surface

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from calibration.geometry import Array, Ints, Pose
-from scope.check import rays_of, shared_of
+from scope.check import Decision, decide, overall, rays_of, shared_of
 from scope.cloud import Region, ScanCloud
-from scope.inspection.decision import Decision, decide, overall
 from scope.inspection.features_file import Wanted
 from scope.inspection.measure import Value, measured_features
 from scope.inspection.primitives import OnPart

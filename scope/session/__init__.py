@@ -49,7 +49,7 @@ from scope.session.in_memory import CalibrationSession, PlaneView, plan_of
 from scope.session.robot_section import PoseLog, read_pose_log
 from scope.session.target_section import Plate, read_target, target_in
 from scope.session.templates import TEMPLATES, write_template
-from scope.session.toml_file import MM, Positive, Section, Units, Vector, read_toml
+from scope.session.toml_file import MM, Positive, Section, Units, Vector, matching, read_toml
 
 __all__ = [
     "AHEAD",
@@ -93,6 +93,7 @@ __all__ = [
     "gray",
     "image_files",
     "in_order",
+    "matching",
     "mean_gray",
     "mean_image",
     "open_source",

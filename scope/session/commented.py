@@ -1,4 +1,4 @@
-"""Commented capture.toml and rig-design.toml to fill in."""
+"""Commented capture.toml, rig-design.toml and acceptance.toml to fill in."""
 
 from __future__ import annotations
 
@@ -101,7 +101,51 @@ slip = 0.02
 # start = -25.0
 # frames = 100
 """
-FILES = {"capture.toml": _CAPTURE, "rig-design.toml": _DESIGN}
+_ACCEPTANCE = """\
+# A scanner's acceptance test: scope check --acceptance acceptance.toml --report protocol.html
+format = 1
+units = "mm"
+standard = "vdi-2634-2"             # or "iso-10360-13"
+# scanner = "cell 3, left"
+# operator = ""
+volume = [160.0, 120.0, 100.0]      # the measuring volume
+temperature = 20.0                  # degrees Celsius, of the artefacts
+temperature_uncertainty = 0.5       # k = 2
+
+# The largest errors that the maker of the scanner permits (or that you do): the standard names none.
+[limits]
+probing_form = 0.05
+probing_size = 0.05
+spacing = 0.05
+flatness = 0.05
+
+# A sphere at ten places of the volume. From its certificate: diameter, its uncertainty (k = 2), its own form.
+[sphere]
+scans = "sphere/*.ply"
+diameter = 25.0012
+uncertainty = 0.0005
+form = 0.0003
+form_uncertainty = 0.0002
+expansion = 5.5                     # 1e-6 per kelvin
+certificate = "number and date"
+# region = "box:-20,60,-20,20"      # where it is, should its holder be taken for it
+# positions = 10                    # where your document asks for another number
+
+# Two spheres at a known distance of their centres, in seven positions.
+[ball_bar]
+scans = "bar/*.ply"
+distance = 100.0031
+diameters = [25.0012, 25.0008]
+uncertainty = 0.001
+expansion = 1.0
+
+# A flat plate in six positions; form is its calibrated flatness.
+[plane]
+scans = "plane/*.ply"
+form = 0.001
+form_uncertainty = 0.0005
+"""
+FILES = {"capture.toml": _CAPTURE, "rig-design.toml": _DESIGN, "acceptance.toml": _ACCEPTANCE}
 
 
 def write_commented(path: Path, name: str) -> None:

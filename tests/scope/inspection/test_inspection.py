@@ -15,7 +15,7 @@ from calibration.errors import FileError
 from calibration.geometry import Pose
 from cli.main import app
 from scope.inspection import inspect_part, read_features
-from scope.inspection.decision import decide, overall
+from scope.check import decide, overall
 from scope.model import load_model
 from tests.scope.merge.test_merge import scan
 
