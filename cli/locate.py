@@ -165,5 +165,6 @@ def usage() -> Iterator[None]:
 
 
 def region_of(text: str | None) -> Region | None:
+    """Region that ``--region`` names; ``ValueError`` where it names none."""
 
-    return None if text is None else parseregion_of(text)[1]
+    return None if text is None else parse_region(text)[1]
