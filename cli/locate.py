@@ -166,5 +166,6 @@ def usage() -> Iterator[None]:
 
 def region_of(text: str | None) -> Region | None:
     """Region that ``--region`` names; ``ValueError`` where it names none."""
+    from scope.cloud import parse_region
 
     return None if text is None else parse_region(text)[1]
