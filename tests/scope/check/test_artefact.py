@@ -201,12 +201,8 @@ def test_artefact_that_is_not_there() -> None:
 class TestCommands:
     @pytest.fixture
     def app(self):  # type: ignore[no-untyped-def]
-        import typer
+        from cli.main import app
 
-        from cli import locate
-
-        app = typer.Typer()
-        locate.register(app)
         return app
 
     def test_check_tells_json_and_exits_3_out_of_tolerance(self, app, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

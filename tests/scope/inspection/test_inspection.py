@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from calibration.errors import FileError
 from calibration.geometry import Pose
 from cli.main import app
-from scope.inspection import inspect_part, read_features
 from scope.check import decide, overall
+from scope.inspection import inspect_part, read_features
 from scope.model import load_model
 from tests.scope.merge.test_merge import scan
 
