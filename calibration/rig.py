@@ -53,6 +53,7 @@ class Rig(Shown):
     blur_px: float = float("nan")  # one sigma of lens and pixel, as the edges of spots show it; NaN without spots
     written: str = ""  # date and time, ISO 8601
     software: str = ""
+    operator: str = ""  # who calibrated, where he was named
     inputs: Mapping[str, str] = field(default_factory=dict)  # file name: SHA-256
     sha256: str = ""  # of the file it was read from
     sealed: bool = True  # False: read from a file of an earlier version, in which an alteration cannot be seen
@@ -161,6 +162,7 @@ def _content(rig: Rig) -> dict[str, Any]:
             "units": "mm",
             "written": rig.written,
             "software": rig.software,
+            "operator": rig.operator,
             "camera_id": rig.camera_id,
             "blur_px": rig.blur_px,
             "camera": _camera_content(rig.camera),
@@ -227,6 +229,7 @@ def _rig(content: dict[str, Any], digest: str) -> Rig:
         blur_px=checked.blur(content.get("blur_px")),  # rigs of earlier versions have none
         written=str(content["written"]),
         software=str(content["software"]),
+        operator=str(content.get("operator", "")),  # rigs of earlier versions have none
         inputs={str(key): str(value) for key, value in content["inputs"].items()},
         sha256=digest,
     )  # fmt: skip

@@ -10,7 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.console import EXIT_NOT_TO_BE_USED, Jobs, Json, Quiet, Report, Scheduler, emit, progress, say, user_errors
+from cli.console import (
+    EXIT_NOT_TO_BE_USED,
+    Jobs,
+    Json,
+    Quiet,
+    Report,
+    Scheduler,
+    emit,
+    progress,
+    say,
+    user_errors,
+    write_page,
+)
 
 if TYPE_CHECKING:
     from scope.batch import Answer
@@ -51,7 +63,7 @@ def batch(
     """Scan and measure many sessions: one row each; a failing one does not stop the day. Exit 3 where any failed."""
     from dataclasses import replace
 
-    from calibration.atomic import require_folder, write_text
+    from calibration.atomic import require_folder
     from scope.batch import (
         DayOptions,
         day_page,
@@ -89,10 +101,8 @@ def batch(
             day = replace(day, rows=rows)
             write_rows(out, rows)
         say(f"wrote {out}", quiet=quiet)
-        if report is not None:
-            write_text(report, day_page(day, f"SCOPE batch {out.stem}", bounds))
-            say(f"wrote {report}", quiet=quiet)
-    emit(day_result(day, bounds), as_json=as_json, text=day_text(day))
+        write_page(report, lambda: day_page(day, f"SCOPE batch {out.stem}", bounds), [out, rig, labels], quiet=quiet)
+    emit(day_result(day, bounds), as_json=as_json, text=day_text(day), inputs=[out, rig, labels])
     if day.failed or day.doubtful:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
 

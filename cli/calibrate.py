@@ -20,6 +20,7 @@ from cli.console import (
     say,
     say_unsealed,
     user_errors,
+    write_page,
 )
 
 Model = Literal["auto", "two-plane", "joint", "pinhole"]
@@ -69,7 +70,7 @@ def verify(
     quiet: Quiet = False,
 ) -> None:
     """Repeat what the rig says of its verification, or test it on images it has not seen."""
-    from calibration.atomic import require_folder, write_text
+    from calibration.atomic import require_folder
     from calibration.rig import sha256_of
     from scope import verify as verify_rig
     from scope.history import verification_figures
@@ -81,10 +82,8 @@ def verify(
         if not result["sealed"]:
             say_unsealed(rig, quiet=quiet)
         note("verify", rig, verification_figures(result), passed=bool(result["passed"]), rig=sha256_of(rig))
-        if report is not None:
-            write_text(report, verification_page(result))
-            say(f"wrote {report}", quiet=quiet)
-    emit(result, as_json=as_json, text=verification_text(result))
+        write_page(report, lambda: verification_page(result), [rig, other], quiet=quiet)
+    emit(result, as_json=as_json, text=verification_text(result), inputs=[rig, other])
     if not result["passed"]:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
 
@@ -92,7 +91,7 @@ def verify(
 def _calibrate(
     file: Path, out: Path, model: Model, order: str, report: Path | None, *, as_json: bool, quiet: bool
 ) -> None:
-    from calibration.atomic import require_folder, write_text
+    from calibration.atomic import require_folder
     from calibration.rig import sha256_of
     from scope import calibrate as calibrate_rig
     from scope.history import calibration_figures
@@ -105,10 +104,8 @@ def _calibrate(
     figures = calibration_figures(found.result)
     note("calibrate", out, figures, passed=found.passed, rig=sha256_of(out), camera=found.rig.camera_id)
     say(f"wrote {out}", quiet=quiet)
-    if report is not None:
-        write_text(report, calibration_page(found))
-        say(f"wrote {report}", quiet=quiet)
-    emit(found.result, as_json=as_json, text=calibration_text(found))
+    write_page(report, lambda: calibration_page(found), [file, out], quiet=quiet)
+    emit(found.result, as_json=as_json, text=calibration_text(found), inputs=[file, out])
     if not found.rig.verification.passed:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
 
@@ -118,7 +115,7 @@ def _check(file: Path, plane: str, *, as_json: bool) -> None:
     from scope.report import check_text
 
     result = check_plane(file, plane)
-    emit(result, as_json=as_json, text=check_text(result))
+    emit(result, as_json=as_json, text=check_text(result), inputs=[file])
     if result["remedy"]:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
 

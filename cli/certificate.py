@@ -23,8 +23,9 @@ from cli.console import (
     say,
     user_errors,
     write_init,
+    write_page,
 )
-from cli.locate import Where, region_of, usage
+from cli.locate import Where, outputs_of, region_of, usage
 
 
 def register(app: typer.Typer) -> None:
@@ -47,6 +48,13 @@ def check(
     ] = None,
     tolerance: Annotated[float | None, typer.Option("--tolerance", help="Largest error allowed, mm.")] = None,
     region: Where = None,
+    deviation: Annotated[
+        Path | None,
+        typer.Option(
+            "--deviation",
+            help="The points with their distance from the artefact (.ply .pcd .xyz .vtp); {cloud} in it is the name of each cloud.",
+        ),
+    ] = None,
     jobs: Jobs = 1,
     scheduler: Scheduler = "",
     init: Annotated[
@@ -60,7 +68,7 @@ def check(
     """Compare scans of something known with what is known of it; exit 3 where it is out of tolerance."""
     with usage():
         if init or acceptance is not None:
-            if clouds or artefact or region or tolerance is not None or acceptance is None:
+            if clouds or artefact or region or deviation or tolerance is not None or acceptance is None:
                 raise ValueError(
                     "--acceptance FILE names its scans, artefacts and limits itself: give no clouds, --artefact, --tolerance or --region "
                     "beside it, and --init only with it"
@@ -77,7 +85,7 @@ def check(
             artefact or "",
             tolerance,
             region,
-            report,
+            (deviation, report),
             spread=(jobs, scheduler),
             as_json=as_json,
             quiet=quiet,
@@ -85,7 +93,7 @@ def check(
 
 
 def _acceptance(file: Path, report: Path | None, *, as_json: bool, quiet: bool) -> None:
-    from calibration.atomic import require_folder, write_text
+    from calibration.atomic import require_folder
     from scope.acceptance import (
         accept,
         acceptance_figures,
@@ -100,12 +108,10 @@ def _acceptance(file: Path, report: Path | None, *, as_json: bool, quiet: bool) 
         plan = read_acceptance(file)
         with progress("measuring", quiet=quiet) as tick:
             found = accept(plan, on_scan=tick)
-        if report is not None:
-            write_text(report, acceptance_page(found))
-            say(f"wrote {report}", quiet=quiet)
+        write_page(report, lambda: acceptance_page(found), [file], quiet=quiet)
     rig = found.rigs[0] if found.rigs else ""
     note("check", file, acceptance_figures(found), passed=found.decision in {"pass", None}, rig=rig)
-    emit(acceptance_result(found), as_json=as_json, text=acceptance_text(found))
+    emit(acceptance_result(found), as_json=as_json, text=acceptance_text(found), inputs=[file])
     if found.decision not in {"pass", None}:
         say("the scanner has not been shown to keep its limits", quiet=quiet)
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
@@ -116,13 +122,13 @@ def _artefact(
     artefact: str,
     tolerance: float | None,
     region: str | None,
-    report: Path | None,
+    files: tuple[Path | None, Path | None],
     *,
     spread: tuple[int, str],
     as_json: bool,
     quiet: bool,
 ) -> None:
-    from calibration.atomic import require_folder, write_text
+    from calibration.atomic import require_folder
     from scope.batch import each
     from scope.check import (
         Artefact,
@@ -133,18 +139,23 @@ def _artefact(
         check_text,
         out_of_tolerance,
         repeat_result,
+        write_residuals,
     )
     from scope.cloud import ScanCloud, unknown
+    from scope.export import require_scalars
     from scope.history import check_figures
     from scope.report import check_page
 
+    deviation, report = files
     with user_errors():
         with usage():
             known = Artefact.parse(artefact)
             within = region_of(region)
             if tolerance is not None and not tolerance > 0:
                 raise ValueError(f"--tolerance {tolerance:g} must be positive, mm")
-        require_folder(report)
+            require_scalars(deviation)
+            maps = [file for (file,) in outputs_of(clouds, deviation)]
+        require_folder(report, *maps)
         repeatability = None
         scans = [ScanCloud.load(path) for path in clouds]
         if len(scans) == 1:
@@ -161,15 +172,22 @@ def _artefact(
             checks = repeat.checks
             told, repeatability = repeat_result(repeat), repeat.worst_mm
             text = "\n".join([*(check_text(c) for c in checks), f"repeatability {repeat.worst_mm:.4f} mm (one sigma)"])
-        if report is not None:
-            named = [(path.name, scan) for path, scan in zip(clouds, scans, strict=True)]
-            write_text(report, check_page(checks, named, tolerance=tolerance, repeatability=repeatability))
-            say(f"wrote {report}", quiet=quiet)
+        for judged, scan, map_file in zip(checks, scans, maps, strict=True):
+            if map_file is not None:
+                write_residuals(map_file, judged, scan)
+                say(f"wrote {map_file}", quiet=quiet)
+        named = [(path.name, scan) for path, scan in zip(clouds, scans, strict=True)]
+        write_page(
+            report,
+            lambda: check_page(checks, named, tolerance=tolerance, repeatability=repeatability),
+            clouds,
+            quiet=quiet,
+        )
     for path, scan in zip(clouds, scans, strict=True):
         if unread := unknown(scan, path.name):
             say(unread, quiet=quiet)
     note("check", clouds[0], check_figures(told), passed=not out_of_tolerance(checks), rig=scans[0].rig_sha256)
-    emit(told, as_json=as_json, text=text)
+    emit(told, as_json=as_json, text=text, inputs=clouds)
     if out_of_tolerance(checks):
         say("do not rely on this scanner before it is calibrated again", quiet=quiet)
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
@@ -189,13 +207,13 @@ def certificate(
         float | None,
         typer.Option("--lengths", help="Standard uncertainty of the target's pitch and the stand-offs, percent."),
     ] = None,
-    operator: Annotated[str, typer.Option("--operator", help="Who answers for it.")] = "",
+    operator: Annotated[str, typer.Option("--operator", envvar="SCOPE_OPERATOR", help="Who answers for it.")] = "",
     allow_edited: AllowEdited = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Join calibration, verifications and checks of a rig on one page with its uncertainty budget."""
-    from calibration.atomic import require_folder, write_text
+    from calibration.atomic import require_folder
     from calibration.rig import Rig
     from scope.check import certify
     from scope.cloud import ScanCloud
@@ -212,12 +230,11 @@ def certificate(
             lengths_percent=lengths,
             operator=operator,
         )
-        write_text(out, certificate_page(found))
+        write_page(out, lambda: certificate_page(found), [*(results or []), *(clouds or [])], quiet=quiet)
     lines = [f"{'may be used' if found.passed else 'MUST NOT BE USED'}: {found.why}"]
     for budget in found.budgets:
         left = f"; without {', '.join(budget.missing)}" if budget.missing else ""
         lines.append(f"laser {budget.laser}: {budget.expanded:.4f} mm along the ray (k = 2){left}")
-    emit(found.as_json(), as_json=as_json, text="\n".join(lines))
-    say(f"wrote {out}", quiet=quiet)
+    emit(found.as_json(), as_json=as_json, text="\n".join(lines), inputs=[rig, *(results or []), *(clouds or [])])
     if not found.passed:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)

@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -124,8 +124,26 @@ def say_unsealed(path: Path, *, quiet: bool) -> None:
     )
 
 
-def emit(result: dict[str, Any] | list[dict[str, Any]], *, as_json: bool, text: str) -> None:
-    """Print the result: JSON, or the text that a person reads."""
+def write_page(path: Path | None, page: Callable[[], str], inputs: Iterable[Path | None] = (), *, quiet: bool) -> None:
+    """Write a page, where one is wanted, with its origin in the footer."""
+    if path is None:
+        return
+    from calibration.atomic import write_text
+    from scope.origin import origin_of
+    from scope.report import signed
+
+    write_text(path, signed(page(), origin_of(inputs)))
+    say(f"wrote {path}", quiet=quiet)
+
+
+def emit(
+    result: dict[str, Any] | list[dict[str, Any]], *, as_json: bool, text: str, inputs: Iterable[Path | None] = ()
+) -> None:
+    """Print the result: JSON with its origin, or the text that a person reads."""
+    if as_json and isinstance(result, dict):
+        from scope.origin import origin_of
+
+        result = {**result, "origin": origin_of(inputs).as_json()}
     typer.echo(json.dumps(plain(result), indent=1, allow_nan=False) if as_json else text)
 
 

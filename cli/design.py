@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, progress, say, user_errors, write_init
+from cli.console import (
+    EXIT_NOT_TO_BE_USED,
+    Json,
+    Quiet,
+    Report,
+    emit,
+    progress,
+    say,
+    user_errors,
+    write_init,
+    write_page,
+)
 
 if TYPE_CHECKING:
     from scope.design import Surface, Wanted
@@ -79,7 +90,7 @@ def _predict(
     asked: tuple[Path | None, Path | None, int], *, as_json: bool, quiet: bool,
 ) -> tuple[bool, int]:  # fmt: skip
     """Predict, print and write; whether a brief was met, and how many troubles there are."""
-    from calibration.atomic import require_folder, write_text
+    from calibration.atomic import require_folder
     from calibration.errors import FileError
     from scope.design import design_rig, design_text, draw_figures, draws_text, proposal_text, propose, write_design
     from scope.simulation import read_design
@@ -108,9 +119,8 @@ def _predict(
     if report is not None:
         from scope.design_report import design_page
 
-        write_text(report, design_page(found, file.name, proposal=proposal, drawn=drawn))
-        say(f"wrote {report}", quiet=quiet)
-    emit(result, as_json=as_json, text=text)
+        write_page(report, lambda: design_page(found, file.name, proposal=proposal, drawn=drawn), [file], quiet=quiet)
+    emit(result, as_json=as_json, text=text, inputs=[file])
     return proposal is None or proposal.met, len(found.troubles)
 
 

@@ -20,6 +20,7 @@ from cli.console import (
     progress,
     say,
     user_errors,
+    write_page,
 )
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def pose(
         Path | None,
         typer.Option(
             "--deviation",
-            help="PLY of the part's points with their distance from the model; {cloud} in it is the name of each cloud.",
+            help="The part's points with their distance from the model (.ply .pcd .xyz .vtp); {cloud} in it is the name of each cloud.",
         ),
     ] = None,
     report: Report = None,
@@ -78,11 +79,13 @@ def pose(
 ) -> None:
     """Find a known part in a scan: position, orientation and how sure they are; exit 3 where the answer is not sure."""
     from calibration.atomic import require_folder
+    from scope.export import require_scalars
     from scope.pose import BAD_DATA, PoseOptions, Told, poses_of, read_robot_from_camera, read_transform
 
     with user_errors():
         with usage():
-            outputs = _outputs(clouds, deviation, report)
+            outputs = outputs_of(clouds, deviation, report)
+            require_scalars(deviation)
             within = region_of(region)
             if at not in {"last", "first"} and not at.isdecimal():
                 raise ValueError(f"--at {at!r} is neither last nor first nor the number of a frame")
@@ -102,15 +105,15 @@ def pose(
             for each, files in zip(answers, outputs, strict=True):
                 if len(clouds) == 1 and each.error:
                     raise ScopeError(each.error)
-                _write(each, *files, alone=len(clouds) == 1, quiet=quiet)
+                _write(each, model, *files, alone=len(clouds) == 1, quiet=quiet)
                 found.append(replace(each, cloud=None))
-    _emit_poses(found, as_json=as_json)
+    _emit_poses(found, model, as_json=as_json)
     statuses = {each.status for each in found}
     if statuses != {0}:
         raise typer.Exit(BAD_DATA if BAD_DATA in statuses else EXIT_NOT_TO_BE_USED)
 
 
-def _outputs(clouds: list[Path], *names: Path | None) -> list[tuple[Path | None, ...]]:
+def outputs_of(clouds: list[Path], *names: Path | None) -> list[tuple[Path | None, ...]]:
     """Files to be written for each cloud; of several clouds, ``{cloud}`` in a name tells them apart."""
     stems = [path.stem for path in clouds]
     for name in names:
@@ -125,32 +128,37 @@ def _outputs(clouds: list[Path], *names: Path | None) -> list[tuple[Path | None,
     return [tuple(None if n is None else n.with_name(n.name.replace("{cloud}", stem)) for n in names) for stem in stems]
 
 
-def _write(each: Sighted, deviation: Path | None, report: Path | None, *, alone: bool, quiet: bool) -> None:
+def _write(
+    each: Sighted, model: Path, deviation: Path | None, report: Path | None, *, alone: bool, quiet: bool
+) -> None:
     """Deviation and page of one cloud, and what it does not tell."""
-    from calibration.atomic import write_text
     from scope.pose import write_deviation
     from scope.report import pose_html
 
     if each.cloud is None or each.placed is None:
         return
+    cloud, placed = each.cloud, each.placed
     if deviation is not None and not each.placed.result.candidates and not alone:
         say(f"{deviation}: not written, since {each.path.name} has no pose to compare with", quiet=quiet)
     elif deviation is not None:
         write_deviation(deviation, each.cloud, each.placed.result)
         say(f"wrote {deviation}", quiet=quiet)
-    if report is not None:
-        write_text(report, pose_html(each.cloud, each.placed))
-        say(f"wrote {report}", quiet=quiet)
+    write_page(report, lambda: pose_html(cloud, placed), [each.path, model], quiet=quiet)
     if each.unread:
         say(each.unread, quiet=quiet)
 
 
-def _emit_poses(found: list[Sighted], *, as_json: bool) -> None:
+def _emit_poses(found: list[Sighted], model: Path, *, as_json: bool) -> None:
     """One answer, or of several clouds a list and a table."""
     from scope.pose import pose_result, pose_text, poses_table, sighted_result
 
     if len(found) == 1 and found[0].placed is not None:
-        emit(pose_result(found[0].placed), as_json=as_json, text=pose_text(found[0].placed))
+        emit(
+            pose_result(found[0].placed),
+            as_json=as_json,
+            text=pose_text(found[0].placed),
+            inputs=[found[0].path, model],
+        )
     else:
         emit([sighted_result(each) for each in found], as_json=as_json, text=poses_table(found))
 

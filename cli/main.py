@@ -47,6 +47,10 @@ def root(
     version: Annotated[  # noqa: ARG001 (its callback answers)
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
+    operator: Annotated[
+        str,
+        typer.Option("--operator", metavar="NAME", help="Who does this, for pages and files; also after the command."),
+    ] = "",
     threads: Annotated[
         int | None,
         typer.Option(
@@ -57,6 +61,8 @@ def root(
     """Lengths are mm, angles degrees, pixels (u, v) = (column, row) from the centre of the first pixel."""
     if threads is not None:
         claim_threads(threads, os.environ)
+    if operator:
+        os.environ["SCOPE_OPERATOR"] = operator  # of this process and its workers
 
 
 for _commands in (
@@ -77,6 +83,9 @@ for _commands in (
     _commands.register(app)
 
 
+_FIRST = ("--threads", "--operator")  # of every command, said before it or after it
+
+
 def main() -> None:
     """Run the command."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # read when OpenCV is first imported; SCOPE says what is wrong
@@ -90,19 +99,20 @@ def main() -> None:
 
 
 def threads_first(argv: list[str]) -> list[str]:
-    """Words of a command line with ``--threads N`` in front, wherever it stood; the last one counts."""
-    words, found = argv[:1], list[str]()
+    """Words of a command line with ``--threads N`` and ``--operator NAME`` in front, wherever they stood; the last of each counts."""
+    words, found = argv[:1], dict[str, list[str]]()
     rest = iter(argv[1:])
     for word in rest:
+        name = word.partition("=")[0]
         if word == "--":
             words += [word, *rest]
-        elif word == "--threads":
-            found = [word, *([value] if (value := next(rest, None)) is not None else [])]
-        elif word.startswith("--threads="):
-            found = [word]
+        elif word in _FIRST:
+            found[name] = [word, *([value] if (value := next(rest, None)) is not None else [])]
+        elif name in _FIRST:
+            found[name] = [word]
         else:
             words.append(word)
-    return [*words[:1], *found, *words[1:]]
+    return [*words[:1], *(part for name in _FIRST for part in found.get(name, [])), *words[1:]]
 
 
 def _asked(argv: list[str]) -> int | None:

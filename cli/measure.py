@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, say, user_errors
+from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, say, user_errors, write_page
 
 
 def register(app: typer.Typer) -> None:
@@ -54,6 +54,13 @@ def roughness(
     pitch: Annotated[
         str | None, typer.Option("--pitch", help="Of a height map that tells none: mm, or DOWN,ALONG in mm.")
     ] = None,
+    heights: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            help="The heights of a patch as points, form and filters applied (.ply .pcd .xyz .vtp); {patch} in it is the name of each.",
+        ),
+    ] = None,
     table: Annotated[Path | None, typer.Option("--csv", help="Write the parameters as CSV.")] = None,
     report: Report = None,
     as_json: Json = False,
@@ -67,10 +74,10 @@ def roughness(
     from scope.cloud import parse_region, require_names
     from scope.pose import read_transform
     from scope.report import roughness_csv, roughness_page, roughness_text
-    from scope.roughness import options_from_text, run_roughness
+    from scope.roughness import options_from_text, run_roughness, write_heights
 
     with user_errors():
-        require_folder(table, report)
+        require_folder(table, report, heights)
         placed = None if pose is None else read_transform(pose)
         try:
             regions = [parse_region(text, cloud_from_model=placed) for text in region or []]
@@ -79,20 +86,40 @@ def roughness(
                 form, s_filter=s_filter, l_filter=l_filter, stripe_width=stripe_width, cloud_from_model=placed
             )
             steps = None if pitch is None else _steps(pitch)
+            maps = _maps(heights, [name for name, _ in regions])
         except ValueError as error:
             raise typer.BadParameter(str(error)) from error
         patches = run_roughness(cloud, regions, options, noise=noise, pitch=steps)
+        for patch, file in zip(patches, maps * (len(patches) if len(maps) == 1 else 1), strict=True):
+            if file is not None:
+                write_heights(file, patch)
+                say(f"wrote {file}", quiet=quiet)
         if table is not None:
             write_text(table, roughness_csv(patches))
             say(f"wrote {table}", quiet=quiet)
-        if report is not None:
-            write_text(report, roughness_page(patches, cloud.name))
-            say(f"wrote {report}", quiet=quiet)
-    emit({"patches": [patch.to_dict() for patch in patches]}, as_json=as_json, text=roughness_text(patches))
+        write_page(report, lambda: roughness_page(patches, cloud.name), [cloud, noise], quiet=quiet)
+    emit(
+        {"patches": [patch.to_dict() for patch in patches]},
+        as_json=as_json,
+        text=roughness_text(patches),
+        inputs=[cloud, noise],
+    )
     bad = [patch.name for patch in patches if not patch.valid]
     if bad:
         say(f"not to be used: Sq of {', '.join(bad)} is withheld or uncertain by half of itself", quiet=quiet)
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
+
+
+def _maps(name: Path | None, patches: list[str]) -> list[Path | None]:
+    """File for the heights of each patch; of several, ``{patch}`` in the name tells them apart."""
+    from scope.export import require_scalars
+
+    require_scalars(name)
+    if name is None:
+        return [None] * max(1, len(patches))
+    if len(patches) > 1 and "{patch}" not in name.name:
+        raise ValueError(f"--map {name}: there are {len(patches)} patches; give a name with {{patch}} in it")
+    return [name.with_name(name.name.replace("{patch}", patch)) for patch in patches or ["patch"]]
 
 
 def _steps(text: str) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, say, user_errors
+from cli.console import EXIT_NOT_TO_BE_USED, Json, Quiet, Report, emit, say, user_errors, write_page
 
 
 def register(app: typer.Typer) -> None:
@@ -30,16 +30,18 @@ def merge(
         float | None, typer.Option("--tolerance", help="How far apart overlaps may be, mm (median of a pair).")
     ] = None,
     deviation: Annotated[
-        Path | None, typer.Option("--map", help="PLY of all points with their distance from the other scans.")
+        Path | None,
+        typer.Option("--map", help="All points with their distance from the other scans (.ply .pcd .xyz .vtp)."),
     ] = None,
     report: Report = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Join scans in one frame, by known poses or by their shapes, and tell how far they disagree where they overlap."""
-    from calibration.atomic import require_folder, write_text
+    from calibration.atomic import require_folder
     from calibration.geometry import Pose
     from scope.cloud import ScanCloud, require_format
+    from scope.export import require_scalars
     from scope.merge import merge as join
     from scope.merge import merge_result, merge_text, read_poses, write_map
     from scope.report import merge_page
@@ -50,6 +52,10 @@ def merge(
         raise typer.BadParameter("one cloud is whole already; name two or more")
     if refine and poses is None:
         raise typer.BadParameter("--refine adjusts known poses; give --poses")
+    try:
+        require_scalars(deviation)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--map") from error
     with user_errors():
         require_folder(out, report, deviation)
         require_format(out)
@@ -67,10 +73,8 @@ def merge(
             if deviation is not None:
                 write_map(deviation, found)
                 say(f"wrote {deviation}", quiet=quiet)
-        if report is not None:
-            write_text(report, merge_page(found))
-            say(f"wrote {report}", quiet=quiet)
-    emit(merge_result(found), as_json=as_json, text=merge_text(found))
+        write_page(report, lambda: merge_page(found), clouds, quiet=quiet)
+    emit(merge_result(found), as_json=as_json, text=merge_text(found), inputs=clouds)
     if not found.passed:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
 
@@ -92,4 +96,4 @@ def mesh(
         found = reconstruct(ScanCloud.load(cloud), cloud.name)
         save_mesh(out, found)
         say(f"wrote {out}", quiet=quiet)
-    emit(mesh_result(found), as_json=as_json, text=mesh_text(found))
+    emit(mesh_result(found), as_json=as_json, text=mesh_text(found), inputs=[cloud])

@@ -18,6 +18,7 @@ from cli.console import (
     say,
     say_unsealed,
     user_errors,
+    write_page,
 )
 
 
@@ -36,7 +37,7 @@ def hand_eye(
     quiet: Quiet = False,
 ) -> None:
     """Find where the camera is on a robot's arm, or beside it; exit 3 where the answer is not to be used."""
-    from calibration.atomic import require_folder, write_text
+    from calibration.atomic import require_folder
     from calibration.rig import Rig
     from scope.hand_eye import hand_eye as find
     from scope.hand_eye import hand_eye_text
@@ -52,10 +53,8 @@ def hand_eye(
         if found.answer is not None:
             found.answer.save(out)
             say(f"wrote {out}", quiet=quiet)
-        if report is not None:
-            write_text(report, hand_eye_page(found))
-            say(f"wrote {report}", quiet=quiet)
-    emit(found.result, as_json=as_json, text=hand_eye_text(found))
+        write_page(report, lambda: hand_eye_page(found), [file, rig], quiet=quiet)
+    emit(found.result, as_json=as_json, text=hand_eye_text(found), inputs=[file, rig])
     if not found.passed:
         say(f"error: {file}: {found.why}", quiet=not as_json)
         raise typer.Exit(EXIT_NOT_TO_BE_USED)

@@ -21,6 +21,7 @@ from cli.console import (
     say_unsealed,
     user_errors,
     write_init,
+    write_page,
 )
 
 Method = Literal["auto", "centroid", "gaussian", "ridge"]
@@ -77,7 +78,7 @@ def scan(
     if init:
         write_init(capture, "capture.toml", f"scope scan {capture} --rig rig.json", quiet=quiet)
         return
-    from calibration.atomic import require_folder, write_text
+    from calibration.atomic import require_folder
     from calibration.rig import Rig
     from ranging.stripe import StripeOptions
     from scope.cloud import FilterOptions
@@ -95,7 +96,9 @@ def scan(
                 StripeOptions(method=method, which=which), extrapolate=extrapolate, max_sigma=max_sigma, normals=normals,
                 filters=FilterOptions(isolated=isolated, max_incidence=max_incidence, voxel=voxel),
             )  # fmt: skip
-            found = scan_to_file(capture, calibrated, out, options, resume=resume, on_frame=tick)
+            found = scan_to_file(
+                capture, calibrated, out, options, resume=resume, origin=_origin(capture, rig), on_frame=tick
+            )
         good = found.verified and not found.why_incomplete and not found.troubles
         note(
             "scan",
@@ -106,10 +109,8 @@ def scan(
             camera=calibrated.camera_id,
         )
         say(f"wrote {out}", quiet=quiet)
-        if report is not None:
-            write_text(report, scan_page(found, capture))
-            say(f"wrote {report}", quiet=quiet)
-    emit(scan_result(found), as_json=as_json, text=scan_text(found))
+        write_page(report, lambda: scan_page(found, capture), [capture, rig], quiet=quiet)
+    emit(scan_result(found), as_json=as_json, text=scan_text(found), inputs=[capture, rig])
     if found.why_incomplete:
         say(f"incomplete: {found.why_incomplete}; go on with --resume", quiet=quiet)
     if found.troubles:
@@ -121,6 +122,16 @@ def scan(
             quiet=quiet,
         )
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
+
+
+def _origin(capture: Path, rig: Path) -> tuple[str, ...]:
+    """What the cloud says of itself."""
+    from scope.origin import origin_of
+    from scope.session import read_capture
+
+    plan = read_capture(capture)
+    frames = [*plan.images, *([plan.video] if plan.video is not None else []), *plan.background]
+    return origin_of([capture, rig], frames=frames).lines
 
 
 def simulate(

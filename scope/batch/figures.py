@@ -8,7 +8,7 @@ import numpy as np
 
 _AXES = ("x", "y", "z")
 _ANGLES = ("roll", "pitch", "yaw")
-_TIMES = {"seconds"}  # a row does not tell them: it would not be the same again
+_TIMES = {"seconds", "origin"}  # a row does not tell them: it would not be the same again
 _LONGEST = 3  # numbers of a list that become columns
 
 

@@ -22,6 +22,7 @@ from scope.calibrating.left_out import LeftOut, small
 from scope.calibrating.marks import MeasuredPlane, measure_plane
 from scope.calibrating.stages import find_stages
 from scope.calibrating.verdict import Verdict, judge_freehand, judge_jig, named_faults
+from scope.origin import operator
 from scope.session import CalibrationPlan, CalibrationSession, PlanePlan, gray, plan_of, read_calibration, read_image
 from scope.version import __version__
 
@@ -262,6 +263,7 @@ def _calibration(
         blur_px=float(np.median(blur)) if blur else float("nan"),
         written=datetime.now(UTC).isoformat(timespec="seconds"),
         software=f"scope {__version__}",
+        operator=operator(),
         inputs={_relative(path, folder): sha256_of(path) for path in plan.files},
     )
     two_plane, freehand = (fit, None) if isinstance(fit, TwoPlaneFit) else (None, fit)

@@ -14,6 +14,7 @@ from scope.check.artefact import (
     fit_artefact,
     rays_of,
     shared_of,
+    write_residuals,
 )
 from scope.check.budget import Budget, uncertainty_budget
 from scope.check.certificate import Certificate, certify
@@ -41,4 +42,5 @@ __all__ = [
     "repeat_result",
     "shared_of",
     "uncertainty_budget",
+    "write_residuals",
 ]

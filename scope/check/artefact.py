@@ -15,6 +15,7 @@ from calibration.notebook import Shown, Summary, number
 from scope.check.shapes import CUT, LEAST, Shape, find_cylinder, find_sphere, fit_levels, fit_shape
 from scope.cloud import Region, ScanCloud, refuse_sheet
 from scope.errors import MeasurementError
+from scope.export import write_scalars
 from scope.pose import largest_plane, normals_of, shared_errors, sheet_and_window, thin, viewpoints
 
 Kind = Literal["sphere", "plane", "cylinder", "steps", "mesh"]
@@ -181,6 +182,12 @@ def check_repeats(
     checks = tuple(each(partial(check_artefact, artefact=artefact, tolerance=tolerance, region=region), clouds))
     values = np.array([[s.measured for s in c.sizes] or [c.error_mm] for c in checks])
     return Repeatability(checks, tuple(float(x) for x in values.std(axis=0, ddof=1)))
+
+
+def write_residuals(path: Path, check: ArtefactCheck, cloud: ScanCloud) -> None:
+    """Write the points that took part with their deviation from the fitted artefact, mm (see `scope.export.write_scalars`)."""
+    told = (f"deviation from the fitted {check.artefact.kind}, mm", *(f"origin {line}" for line in cloud.origin))
+    write_scalars(path, check.where, {"deviation": check.deviation}, told)
 
 
 def rays_of(cloud: ScanCloud) -> tuple[Array | None, Array | None]:

@@ -50,6 +50,7 @@ class Columns(Shown):
     stripe_width: tuple[float, ...] = ()  # mm, one sigma of each laser's stripe on the surface; empty: not known
     stripe_corrected: tuple[float, ...] = ()  # share (0 to 1) of what that width does to heights that ranging took off
     notes: tuple[str, ...] = ()  # what reading its file left out or joined
+    origin: tuple[str, ...] = ()  # "what: value": rig, limits, when and by whom the scan was made, of which files
     camera_centre: Array = field(default_factory=lambda: np.full(3, np.nan))  # (3,) mm, in C
 
     def __len__(self) -> int:

@@ -26,6 +26,7 @@ SENSOR = np.dtype(
 SCAN = {"u", "v", "frame"}  # what makes points a scan in order
 MOST_FRAMES = 1_000_000  # between the first and the last number of a frame
 _FURTHEST = 1e9  # mm from the origin
+_LINE, _LINES = 240, 64  # letters of a line of origin, and lines
 _LARGEST_IMAGE = 1 << 20  # px
 
 
@@ -114,6 +115,9 @@ def _described(path: Path, cloud: Columns, stored: Stored) -> Columns:
         complete=told.get("complete", "yes") == "yes",
         stripe_width=tuple(width for width, _ in stripes),
         stripe_corrected=tuple(corrected for _, corrected in stripes),
+        origin=tuple(text.removeprefix("origin ")[:_LINE] for text in stored.comments if text.startswith("origin "))[
+            :_LINES
+        ],
         camera_centre=centre if centre.shape == (3,) else np.full(3, np.nan),
     )
 

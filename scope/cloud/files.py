@@ -150,6 +150,7 @@ def comments(cloud: Columns) -> tuple[str, ...]:
         f"verified {'yes' if cloud.verified else 'no'}",
         f"complete {'yes' if cloud.complete else 'no'}",
         f"camera_centre_C {centre}",
+        *(f"origin {line}" for line in cloud.origin),
         *(f"laser {i} {name}" for i, name in enumerate(cloud.laser_names)),
         *(
             f"stripe {i} {width:.5g} {corrected:.4g}"

@@ -6,11 +6,13 @@ Source: Kitware, VTK File Formats (XML formats, PolyData; inline binary data wit
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.geometry import Array
 from scope.cloud import ScanCloud, comments
 
 _TYPES = {"f4": "Float32", "f8": "Float64", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}
@@ -18,7 +20,6 @@ _TYPES = {"f4": "Float32", "f8": "Float64", "i4": "Int32", "i8": "Int64", "u1": 
 
 def write(stream: BinaryIO, cloud: ScanCloud) -> None:
     """Write a cloud, mm; scalars in the point data, sensors (``sensor_*``) and the comments of the scan in the field data."""
-    n = len(cloud)
     values: dict[str, NDArray[Any]] = {
         name: getattr(cloud, name)
         for name in ("intensity", "sigma", "sigma_cal")
@@ -35,15 +36,27 @@ def write(stream: BinaryIO, cloud: ScanCloud) -> None:
             for name in ("frame", "laser", "centre", "rotation", "laser_origin")
         ]
     shown = "sigma" if "sigma" in values else next(iter(values), "")
+    _write(stream, cloud.points, values, shown, [*field, _texts("comments", comments(cloud))])
+
+
+def write_points(
+    stream: BinaryIO, points: Array, scalars: Mapping[str, NDArray[Any]], shown: str, told: tuple[str, ...]
+) -> None:
+    """Write points (N, 3) mm with scalars (N,), of which one is shown, and lines of text in the field data."""
+    _write(stream, points, scalars, shown, [_texts("comments", told)])
+
+
+def _write(stream: BinaryIO, points: Array, values: Mapping[str, NDArray[Any]], shown: str, field: list[str]) -> None:
+    n = len(points)
     attributes = (f' Scalars="{shown}"' if shown else "") + (' Normals="Normals"' if "Normals" in values else "")
     index = np.arange(n, dtype=np.int64)
     lines = [
         '<?xml version="1.0"?>',
         '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
-        "<PolyData>", "<FieldData>", *field, _texts("comments", comments(cloud)), "</FieldData>",
+        "<PolyData>", "<FieldData>", *field, "</FieldData>",
         f'<Piece NumberOfPoints="{n}" NumberOfVerts="{n}" NumberOfLines="0" NumberOfStrips="0" NumberOfPolys="0">',
         f"<PointData{attributes}>", *(_array(name, value) for name, value in values.items()), "</PointData>",
-        "<Points>", _array("Points", cloud.points), "</Points>",
+        "<Points>", _array("Points", points), "</Points>",
         "<Verts>", _array("connectivity", index), _array("offsets", index + 1), "</Verts>",
         "</Piece>", "</PolyData>", "</VTKFile>", "",
     ]  # fmt: skip

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from calibration.atomic import written_whole
 from calibration.errors import FileError
 from calibration.geometry import Array, Pose
-from scope.cloud import ScanCloud, ply
+from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
+from scope.export import write_scalars
 from scope.merge.graph import adjusted, placed
 from scope.merge.joined import joined
 from scope.merge.overlap import PairOverlap, compared, contact
@@ -176,13 +176,8 @@ def _deviation(clouds: Sequence[ScanCloud], patches: Sequence[Patch], at: Sequen
 
 
 def write_map(path: Path, found: Merged) -> None:
-    """PLY of the whole with ``deviation``: mm of each point from the other scans, NaN where one scan alone saw it."""
+    """Write the whole with ``deviation``: mm of each point from the other scans, NaN where one scan alone saw it."""
     if found.cloud is None or found.deviation is None:
         raise ValueError("a merge without an answer has no map")
-    names = ("deviation", "quality", "scalar_deviation")
-    rows = np.zeros(len(found.cloud), dtype=[(name, "<f4") for name in ("x", "y", "z", *names)])
-    rows["x"], rows["y"], rows["z"] = found.cloud.points.T
-    for name in names:
-        rows[name] = found.deviation
-    with written_whole(path) as stream:
-        ply.write(stream, ply.Ply({"vertex": rows}, ("units mm", "deviation from the other scans, mm")))
+    told = ("deviation from the other scans, mm", *(f"origin {line}" for line in found.cloud.origin))
+    write_scalars(path, found.cloud.points, {"deviation": found.deviation}, told)

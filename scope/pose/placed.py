@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from calibration.atomic import written_whole
 from calibration.errors import FileError
 from calibration.geometry import Array, Pose
 from calibration.notation import COLUMNS, NOTATIONS, pose_of
-from scope.cloud import ScanCloud, ply
+from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
+from scope.export import write_scalars
 from scope.pose.estimate import PoseResult
 from scope.session import MM
 
@@ -178,19 +178,14 @@ def place(cloud: ScanCloud, result: PoseResult, at: str, robot: RobotEnd | Pose 
 
 
 def write_deviation(path: Path, cloud: ScanCloud, result: PoseResult) -> None:
-    """A PLY of the part's points with their signed distance (mm, outside positive) from the model at the best pose.
+    """Write the part's points with their signed distance (mm, outside positive) from the model at the best pose.
 
-    It stands there under the names that programs take for a scalar: ``deviation``, MeshLab's ``quality``, CloudCompare's ``scalar_``.
+    It stands there under the names that programs take for a scalar, see `scope.export.write_scalars`.
     """
     if not result.candidates:
         raise MeasurementError(f"{path}: there is no pose to compare with ({result.why}); nothing was written")
-    points = cloud.points[result.points]
-    names = ("deviation", "quality", "scalar_deviation")
-    rows = np.zeros(len(points), dtype=[(name, "<f4") for name in ("x", "y", "z", *names)])
-    rows["x"], rows["y"], rows["z"] = points.T
-    for name in names:
-        rows[name] = result.deviation
-    with written_whole(path) as stream:
-        ply.write(
-            stream, ply.Ply({"vertex": rows}, ("units mm", f"deviation from {result.model.name}, mm, outside positive"))
-        )
+    told = (f"deviation from {result.model.name}, mm, outside positive", *(f"origin {line}" for line in cloud.origin))
+    scalars = {"deviation": np.asarray(result.deviation, dtype=np.float32)}
+    if np.isfinite(cloud.sigma).any():
+        scalars["sigma"] = cloud.sigma[result.points]
+    write_scalars(path, cloud.points[result.points], scalars, told)

@@ -17,7 +17,7 @@ from scope.report.check import check_page
 from scope.report.hand_eye import hand_eye_page
 from scope.report.inspection import inspection_page
 from scope.report.merge import merge_page
-from scope.report.page import Level, Page, colour_bgr
+from scope.report.page import Level, Page, colour_bgr, signed
 from scope.report.pictures import cloud_from, grey_blocks, with_marks, with_stripe
 from scope.report.pose import pose_html
 from scope.report.roughness import roughness_csv, roughness_page, roughness_text
@@ -46,6 +46,7 @@ __all__ = [
     "scan_page",
     "scan_result",
     "scan_text",
+    "signed",
     "verification_page",
     "verification_text",
     "view_page",

@@ -180,6 +180,7 @@ def calibration_page(found: Calibration) -> str:
         f"{found.plan.path}, sha256 {sha256_of(found.plan.path)[:12]}" if found.plan.path.is_file() else "",
     )
     page.about("images and files", str(len(found.rig.inputs)))
+    page.about("limits asked", ", ".join(f"{key} {value:g}" for key, value in found.rig.accept.items()) or "none")
     page.about("camera", found.rig.camera_id)
     return page.html()
 

@@ -38,8 +38,7 @@ def certificate_page(found: Certificate) -> str:
         )
     else:
         page.text("None was given: what is above rests on the calibration's own planes alone.")
-    page.about("rig", f"sha256 {rig.sha256}")
-    page.about("camera", rig.camera_id)
+    page.about_rig(rig)
     page.about("operator", found.operator)
     return page.html()
 

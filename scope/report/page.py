@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calibration.geometry import Array
+from calibration.rig import Rig
+from scope.origin import Origin
 from scope.report._page_cloud import CLOUD_SCRIPT
 from scope.report._style import STYLE
 from scope.version import __version__
@@ -23,6 +25,7 @@ Picture: TypeAlias = NDArray[np.uint8]  # (rows, columns) grey or (rows, columns
 
 _CONTENTS = 4  # sections, from which a page has a table of contents
 _QUALITY = 85
+_FOOT = "</dl></footer>"
 _COLOURS = ("#1f5fa8", "#c0342c", "#1f8a4c", "#8a5bb5", "#c98a00", "#3aa6a6")
 
 
@@ -121,6 +124,15 @@ class Page:
         self._figure(f'<canvas class="cloud" data-points="{data}"></canvas>', note, kind=' class="whole turned"')
         self._has_cloud = True
 
+    def about_rig(self, rig: Rig, name: str = "rig.json") -> None:
+        """Say in the footer of which rig the page is: its file, when it was verified, the limits asked for, its camera."""
+        self.about("rig", f"{name}, sha256 {rig.sha256}" if rig.sha256 else name)
+        self.about(
+            "rig verified", f"{rig.written} by {rig.software}, {'passed' if rig.verification.passed else 'not passed'}"
+        )
+        self.about("limits asked", ", ".join(f"{key} {value:g}" for key, value in rig.accept.items()) or "none")
+        self.about("camera", rig.camera_id)
+
     def html(self) -> str:
         """The whole page."""
         self._close_figures()
@@ -137,7 +149,7 @@ class Page:
         return (
             f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">'
             f'<title>{title}</title><style>{STYLE}</style></head><body><div class="page{" long" if long else ""}">{nav}<main><h1>{title}</h1>'
-            f"{''.join(self._parts)}<footer><dl>{told}</dl></footer></main></div>{script}</body></html>\n"
+            f"{''.join(self._parts)}<footer><dl>{told}{_FOOT}</main></div>{script}</body></html>\n"
         )
 
     def _add(self, content: str) -> None:
@@ -152,6 +164,13 @@ class Page:
     def _figure(self, content: str, caption: str, width: int | None = None, *, kind: str = "") -> None:
         style = f' style="width:{width + 2}px"' if width else ""  # a long caption must not push its neighbour below
         self._figures.append(f"<figure{kind}{style}>{content}<figcaption>{html.escape(caption)}</figcaption></figure>")
+
+
+def signed(page: str, origin: Origin) -> str:
+    """A page whose footer also says who made it, and of which files."""
+    told = "".join(f"<dt>{html.escape(what)}</dt><dd>{html.escape(value)}</dd>" for what, value in origin.told)
+    body, end, rest = page.rpartition(_FOOT)
+    return f"{body}{told}{end}{rest}" if end else page
 
 
 def _smallest(picture: Picture) -> tuple[str, bytes]:

@@ -128,9 +128,12 @@ def scan_page(found: Scan, capture: str | Path) -> str:
 
 
 def about_cloud(page: Page, cloud: ScanCloud) -> None:
-    """Say in the footer of which rig a cloud is."""
+    """Say in the footer of which rig a cloud is, and what its file says of itself."""
     if cloud.rig_sha256:
         page.about("rig", f"sha256 {cloud.rig_sha256[:12]}, {'verified' if cloud.verified else 'not verified'}")
+    for line in cloud.origin:
+        what, _, value = line.partition(": ")
+        page.about(what if what.startswith(("rig", "limits", "camera")) else f"cloud, {what}", value)
 
 
 def add_uncertainty(page: Page, cloud: ScanCloud) -> None:

@@ -67,8 +67,7 @@ def _rig_page(path: Path, rig: Rig) -> str:
         normal = ", ".join(f"{x:.5f}" for x in laser.plane.normal)
         rows.append([name, laser.along, laser.channel, normal, f"{laser.plane.offset:.3f}", f"{laser.rms_mm:.4f}"])
     page.table(("laser", "runs along", "read in", "normal", "offset, mm", "rms, mm"), rows)
-    page.about("rig", f"sha256 {rig.sha256[:12]}" if rig.sha256 else "")
-    page.about("camera", rig.camera_id)
+    page.about_rig(rig, path.name)
     return page.html()
 
 

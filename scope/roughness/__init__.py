@@ -8,7 +8,7 @@ Read: run, measure, noise, align, estimate, areal, abbott, attenuation, sampling
 
 from scope.roughness.abbott import AbbottCurve
 from scope.roughness.measure import Roughness, RoughnessOptions, measure_heights, measure_roughness
-from scope.roughness.run import options_from_text, run_roughness
+from scope.roughness.run import options_from_text, run_roughness, write_heights
 from scope.roughness.table import AREAL, PROFILE, Definition, Parameter
 
 __all__ = [
@@ -23,4 +23,5 @@ __all__ = [
     "measure_roughness",
     "options_from_text",
     "run_roughness",
+    "write_heights",
 ]

@@ -7,11 +7,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from calibration.errors import FileError
 from calibration.geometry import Pose
 from scope.cloud import Region, ScanCloud
 from scope.errors import MeasurementError
-from scope.heightmap import ENDINGS, HeightMap, NoLatticeError, read_heights, within
+from scope.export import write_scalars
+from scope.heightmap import ENDINGS, HeightMap, NoLatticeError, local_roughness, read_heights, within
 from scope.roughness.measure import Roughness, RoughnessOptions, measure_heights, measure_roughness
 
 
@@ -59,7 +62,7 @@ def run_roughness(
 ) -> list[Roughness]:
     """Measure every region of a cloud (.ply, .pcd, .las, .laz, .e57) or of a height map (.npy, .asc, .txt, .xyz, .sdf, .x3p).
 
-    An .xyz whose points stand on no lattice is a cloud without scan order.     ``pitch`` is that of a height map which tells none, mm (down, along). An error in one region names it.
+    An .xyz whose points stand on no lattice is a cloud without scan order. ``pitch`` is that of a height map which tells none, mm (down, along). An error in one region names it.
     """
     heights = _map_of(source, pitch)
     is_map = heights is not None
@@ -81,3 +84,24 @@ def run_roughness(
         except MeasurementError as error:
             raise MeasurementError(f"{name}: {error}") from error
     return found
+
+
+def write_heights(path: Path, patch: Roughness) -> None:
+    """Write the heights that were measured as points in the cloud's frame, mm (see `scope.export.write_scalars`).
+
+    ``height`` is what form and filters have left, ``local_Sq`` the rms height about each point, in windows of 15 % of the shorter side. A
+    height map of a file, which has no places, lies in its own frame: x along the rows, y down, z the height.
+    """
+    heights = patch.heights
+    known = heights.known
+    rows, columns = np.nonzero(known)
+    if heights.points is not None:
+        points = heights.points[known]
+    else:
+        points = np.stack([columns * heights.pitch[1], rows * heights.pitch[0], heights.z[known]], axis=1)
+    local = local_roughness(heights.z, heights.pitch, 0.15 * min(heights.size))[known]
+    scalars = {"height": heights.z[known], "local_Sq": local}
+    if heights.sigma is not None:
+        scalars["sigma"] = heights.sigma[known]
+    told = (f"heights of {patch.name}, mm; form {heights.form}", *heights.filters)
+    write_scalars(path, points, scalars, tuple(line.encode("ascii", "replace").decode("ascii") for line in told))

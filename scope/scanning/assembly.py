@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.geometry import quaternion_from_rotation
+from calibration.rig import Rig
 from ranging.errors import RangingError
 from scope.cloud import ScanCloud, Sensors, filtered, lattice_normals
 from scope.scanning.agreement import agreements
@@ -66,7 +67,21 @@ def described(setup: ScanSetup, cloud: ScanCloud, why: str, statistics: ScanStat
         rig_sha256=setup.rig.sha256,
         verified=setup.rig.verification.passed,
         complete=not why,
+        origin=(*_of_rig(setup.rig), *setup.origin),
         camera_centre=setup.centre,
+    )
+
+
+def _of_rig(rig: Rig) -> tuple[str, ...]:
+    """Lines on the rig: when it was calibrated and verified, within which limits, and whose camera it is."""
+    limits = ", ".join(f"{key} {value:g}" for key, value in rig.accept.items())
+    told = {
+        "rig verified": f"{rig.written} by {rig.software}" if rig.written else "",
+        "limits asked": limits or "none",
+        "camera": rig.camera_id,
+    }
+    return tuple(
+        f"{what}: {value}"[:200].encode("ascii", "replace").decode("ascii") for what, value in told.items() if value
     )
 
 

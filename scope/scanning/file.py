@@ -13,7 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -41,13 +41,14 @@ def scan_to_file(
     options: ScanOptions,
     *,
     resume: bool = False,
+    origin: tuple[str, ...] = (),
     on_frame: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Scan:
     """Scan, keep each chunk in ``out`` + ``.part`` while it runs, and write the cloud in the end.
 
     The part is removed when the scan is complete; an interrupted or failed scan leaves it, to be resumed. A PLY of one
     laser without normals and filters is written from the part, so that the points are never all in memory; anything else
-    needs the whole cloud at once.
+    needs the whole cloud at once. ``origin`` are lines that the file says of itself, as `scope.origin` gives them.
     """
     require_folder(out)
     require_format(out)
@@ -60,6 +61,7 @@ def scan_to_file(
     if resume:
         end = _resumed(part, identity, statistics)
     setup, source = open_scan(capture, rig, options)
+    setup = replace(setup, origin=origin)
     stream: BinaryIO | None = None
     try:
         for chunk in runs(setup, source, first=statistics.frames, on_frame=on_frame):

@@ -43,6 +43,7 @@ class ScanSetup:
     stripe: StripeOptions  # with the noise of the camera, where some frames have told it
     centre: Array  # (3,) mm, camera centre in C
     like: Image | None  # with whose depth and channels all frames must agree; None before any has come
+    origin: tuple[str, ...] = ()  # who scans, when, and of which files
 
     def saturation(self, image: Image) -> float:
         """Grey level at which the camera of an image clips."""
