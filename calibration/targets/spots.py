@@ -29,6 +29,7 @@ _FEW = 6  # spots that a target has at least: with fewer, smaller ones are looke
 _SMALL = 5.5  # px, diameter of spots that may be fitted as blurred discs
 _SMALL_AREA = 45  # px^2
 _SMALLEST = 2.5  # px
+_SCREEN = 120  # specks, brightest and of all tiers, of which one must be a mark before all of them are fitted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,10 +181,17 @@ def _small_spots(light: NDArray[np.float32], clip: float, min_diameter: float) -
     tried &= peak > 0.25 * np.sort(peak[tried])[-_FEW]
     if tried.sum() < _FEW:
         return none
-    about = float(np.sqrt(4.0 * np.median(area[tried]) / np.pi))
-    found = points.fit_points(light, middle[tried], max(about, 2.0))
-    moved = np.linalg.norm(found.centre - middle[tried], axis=1)
-    told = points.judged(found, moved=moved, reach=1.5, fitted_for=2.0 * max(about, 2.0))
+    about = max(float(np.sqrt(4.0 * np.median(area[tried]) / np.pi)), 2.0)
+
+    def fitted(start: Array) -> tuple[points.Points, list[str]]:
+        found = points.fit_points(light, start, about)
+        moved = np.linalg.norm(found.centre - start, axis=1)
+        return found, points.judged(found, moved=moved, reach=1.5, fitted_for=2.0 * about)
+
+    start, order = middle[tried], np.argsort(-peak[tried], kind="stable")
+    if len(start) > 2 * _SCREEN and "" not in fitted(start[np.sort(order[_screened(len(order))])])[1]:
+        return none  # grain: not one of the brightest, nor of a sample of the others
+    found, told = fitted(start)
     usual = float(np.median(found.contrast[[not why for why in told]])) if "" in told else 0.0
     told = [
         "much fainter than the others" if not w and c < 0.25 * usual else w
@@ -200,6 +208,11 @@ def _small_spots(light: NDArray[np.float32], clip: float, min_diameter: float) -
         found.centre[good], found.covariance[good], found.diameter[good], found.contrast[good], found.blur[good],
         over[good].astype(np.float64), rejected,
     )  # fmt: skip
+
+
+def _screened(count: int) -> NDArray[np.intp]:
+    """Of so many specks, brightest first, those that tell whether marks are among them: the first and some of each tier."""
+    return np.unique(np.concatenate([np.arange(_SCREEN), np.linspace(0, count - 1, _SCREEN).astype(np.intp)]))
 
 
 def _no_spot(shapes: Array, table: Array, size: tuple[int, ...], min_diameter: float) -> NDArray[np.str_]:
