@@ -2,7 +2,8 @@
 
 In: a cloud and a region, a mesh as nominal form, or a height map file.
 Out: `HeightMap` with gaps and sigma; its form, filtered parts and spectrum.
-Read: heights, patch, form, filters, edges, model, spatial, files.
+    Of a cloud without a region: the flat patches in it.
+Read: heights, patch, form, filters, edges, model, spatial, files, flat.
 """
 
 from scope.heightmap.edges import refuse_edges
@@ -16,6 +17,7 @@ from scope.heightmap.filters import (
     local_roughness,
     s_filter,
 )
+from scope.heightmap.flat import FlatPatch, flat_patches
 from scope.heightmap.form import remove_form, require_form
 from scope.heightmap.heights import HeightMap
 from scope.heightmap.model import remove_model
@@ -27,6 +29,7 @@ __all__ = [
     "Autocorrelation",
     "DEEPEST",
     "ENDINGS",
+    "FlatPatch",
     "HeightMap",
     "ISOTROPIC",
     "LEAST_POINTS",
@@ -34,6 +37,7 @@ __all__ = [
     "SAMPLES_PER_INDEX",
     "Texture",
     "autocorrelation",
+    "flat_patches",
     "gaussian",
     "l_filter",
     "least_s_index",

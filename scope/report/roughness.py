@@ -51,6 +51,10 @@ def roughness_page(patches: Sequence[Roughness], source: str) -> str:
     page = Page(f"Surface roughness of {source}")
     for patch in patches:
         _verdict(page, patch)
+        if patch.notes and patch.notes[0].startswith("no --region"):
+            page.verdict(
+                "warn", f"{patch.notes[0][0].upper()}{patch.notes[0][1:]}. Name one of them to measure it alone."
+            )
         _pictures(page, patch)
         _table(page, "Areal parameters (k = 2)", patch.areal, AREAL)
         for way, table in patch.profile.items():

@@ -14,8 +14,19 @@ from calibration.geometry import Pose
 from scope.cloud import Region, ScanCloud
 from scope.errors import MeasurementError
 from scope.export import write_scalars
-from scope.heightmap import ENDINGS, HeightMap, NoLatticeError, local_roughness, read_heights, within
+from scope.heightmap import (
+    ENDINGS,
+    FlatPatch,
+    HeightMap,
+    NoLatticeError,
+    flat_patches,
+    local_roughness,
+    read_heights,
+    within,
+)
 from scope.roughness.measure import Roughness, RoughnessOptions, measure_heights, measure_roughness
+
+_SHOWN = 3  # flat patches
 
 
 def options_from_text(
@@ -73,17 +84,26 @@ def run_roughness(
             raise FileError(f"{source}: is a cloud, which has a pitch of its own; leave --pitch away")
         cloud = ScanCloud.load(source)
         repeat = None if noise is None else ScanCloud.load(noise)
-    found = []
+    found, seen = [], () if is_map or regions else flat_patches(cloud.points, most=_SHOWN)
     for name, region in regions or [(source.name, None)]:
         try:
             if heights is not None:
                 patch = heights if region is None else within(heights, region)
                 found.append(measure_heights(patch, options=options, name=name))
             else:
-                found.append(measure_roughness(cloud, region=region, options=options, noise=repeat, name=name))
+                measured = measure_roughness(cloud, region=region, options=options, noise=repeat, name=name)
+                found.append(measured if regions else replace(measured, notes=(_whole(seen), *measured.notes)))
         except MeasurementError as error:
-            raise MeasurementError(f"{name}: {error}") from error
+            told = f". Flat patches for --region: {', '.join(p.region for p in seen[:2])}" if seen else ""
+            raise MeasurementError(f"{name}: {error}{told}") from error
     return found
+
+
+def _whole(patches: Sequence[FlatPatch]) -> str:
+    """What is said where no region was given: that the whole was measured, and the flat patches that are in it."""
+    told = "no --region was given: the whole cloud is taken for one surface"
+    shown = ", ".join(f"{patch.region} ({patch.size[0]:.3g} x {patch.size[1]:.3g} mm)" for patch in patches)
+    return f"{told}; flat patches in it: {shown}" if shown else told
 
 
 def write_heights(path: Path, patch: Roughness) -> None:
