@@ -54,6 +54,9 @@ def export(
 
 def view(
     path: Annotated[Path, typer.Argument(help="A cloud (.ply, .pcd, .xyz, .las, .e57) or rig.json")],
+    rig: Annotated[
+        Path | None, typer.Option("--rig", "-r", help="Show this rig with the cloud: camera, rays, sheets, axes.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Keep the page here; otherwise it is a temporary file.")
     ] = None,
@@ -71,7 +74,7 @@ def view(
 
     with user_errors():
         require_folder(out)
-        html = view_page(path, allow_edited=allow_edited)
+        html = view_page(path, rig=rig, allow_edited=allow_edited)
         page = out or Path(tempfile.mkdtemp(prefix="scope-")) / f"{path.stem}.html"
         write_text(page, html)
     shown = show and webbrowser.open(page.resolve().as_uri())

@@ -18,7 +18,7 @@ from scope.console import measuring
 from scope.console.folder import SessionFolder, stamp
 from scope.console.jobs import Job, Jobs
 from scope.console.look import Look, Subject, look_at, picture
-from scope.console.pictures import jpeg_of, viewer_page
+from scope.console.pictures import jpeg_of
 from scope.console.recording import Growth, motion_of, record
 from scope.console.station import Station
 from scope.console.steps import Steps
@@ -26,6 +26,7 @@ from scope.history import Journal, Record, calibration_figures, check_figures, j
 from scope.scanning import Scanner
 from scope.session import CameraSettings
 from scope.version import __version__
+from scope.viewer import cloud_scene, viewer_page
 
 MOST_FRAMES = 1_000_000
 
@@ -147,7 +148,7 @@ class Console:
 
     def cloud_page(self, name: str) -> str:
         """The page with the viewer of a scan's cloud."""
-        return viewer_page(ScanCloud.load(self.file("scans", name, "cloud.ply")), name)
+        return viewer_page(cloud_scene(ScanCloud.load(self.file("scans", name, "cloud.ply"))), name)
 
     def cloud_of(self, scan: str) -> Path:
         """Cloud of a scan, or of the newest where none is named."""

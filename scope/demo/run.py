@@ -20,6 +20,7 @@ from scope.cloud import Box
 from scope.errors import MissingLibraryError
 from scope.report import Page, add_views, calibration_page, grey_blocks, scan_page, with_marks, with_stripe
 from scope.scanning import Scan, run_scan
+from scope.viewer import cloud_scene, rig_layers
 
 _STEPS = 5
 
@@ -284,7 +285,7 @@ def _page(calibration: Calibration, found: Scan, deviations: list[Deviation], sk
         page.verdict("warn", skipped)
     page.heading("The cloud")
     page.cloud(
-        found.cloud.points, found.cloud.points[:, 2], "coloured by z; drag to turn, wheel to zoom, shift-drag to move"
+        cloud_scene(found.cloud).with_layers(rig_layers(calibration.rig)), "The cloud, and the rig that ranged it"
     )
     add_views(page, found.cloud)
     page.heading("From the images")

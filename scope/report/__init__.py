@@ -17,12 +17,13 @@ from scope.report.check import check_page
 from scope.report.hand_eye import hand_eye_page
 from scope.report.inspection import inspection_page
 from scope.report.merge import merge_page
-from scope.report.page import Level, Page, colour_bgr, signed
-from scope.report.pictures import cloud_from, grey_blocks, with_marks, with_stripe
+from scope.report.page import Level, Page, signed
+from scope.report.pictures import grey_blocks, with_marks, with_stripe
 from scope.report.pose import pose_html
 from scope.report.roughness import roughness_csv, roughness_page, roughness_text
 from scope.report.scan import add_views, scan_page, scan_result, scan_text, why_no_point
 from scope.report.view import view_page
+from scope.viewer import cloud_from, colour_bgr
 
 __all__ = [
     "inspection_page",

@@ -27,13 +27,13 @@ td.text{min-width:6rem;max-width:34rem;overflow-wrap:break-word}td:not(.text){wh
 figure{margin:0;max-width:100%}figure img{max-width:100%;height:auto;border:1px solid var(--line);display:block}
 figure.whole{flex:1 1 100%}figure svg{max-width:100%;height:auto;display:block}
 figcaption{color:var(--soft);font-size:.88rem;max-width:40rem;margin-top:.2rem;overflow-wrap:anywhere}
-.cloud{width:100%;height:min(34rem,70vh);background:#10151c;display:block;touch-action:pan-y}
+scope-cloud{display:block}
 svg text{font:11px system-ui,sans-serif;fill:var(--ink)}svg .grid{stroke:var(--grid)}
 footer{margin-top:3rem;color:var(--faint);font-size:.85rem;border-top:1px solid var(--line);padding-top:.6rem}
 footer dl{display:grid;grid-template-columns:max-content minmax(0,1fr);gap:.1rem 1rem;margin:0}footer dd{margin:0;overflow-wrap:anywhere}
 @media print{@page{size:A4;margin:14mm}:root{color-scheme:light;--ink:#000;--soft:#333;--faint:#444;--page:#fff;--line:#bbb;--row:#ccc;--head:#eee;
 --good:#fff;--warn:#fff;--bad:#fff;--plain:#fff;--grid:#ddd;--link:#000}
-body{font-size:10pt}.page,.page.long{display:block;padding:0}nav,canvas.cloud,figure.turned{display:none}.wide{overflow:visible}
+body{font-size:10pt}.page,.page.long{display:block;padding:0}nav{display:none}.wide{overflow:visible}
 table,figure,.verdict{break-inside:avoid}tr{break-inside:avoid}thead{display:table-header-group}h2{break-after:avoid}td.text{max-width:none}
 figure:not(.whole){width:47%!important}figure img{max-height:90mm}}
 """

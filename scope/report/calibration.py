@@ -15,6 +15,7 @@ from scope.calibrating import Calibration, MeasuredPlane
 from scope.report import pictures
 from scope.report.freehand import add_camera, camera_lines
 from scope.report.page import Page
+from scope.viewer import rig_scene
 
 
 def number(value: Any, digits: int = 3) -> str:
@@ -166,6 +167,8 @@ def calibration_page(found: Calibration) -> str:
         _add_interplane(page, found)
         _add_uncertainty(page, found.two_plane)
         _add_numerics(page, found.two_plane)
+    page.heading("The rig")
+    page.cloud(rig_scene(found.rig), "Camera, sighting rays, calibrated volume, sheets of light and axes, in C, mm")
     _add_lasers(page, found)
     if result["stages"]:
         page.heading("Stages")

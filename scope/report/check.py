@@ -6,12 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.geometry import Array
 from scope.check import ArtefactCheck, out_of_tolerance
 from scope.cloud import ScanCloud
-from scope.report import pictures
 from scope.report.page import Level, Page
 from scope.report.scan import about_cloud
+from scope.viewer import Scalar, Scene
 
 _BINS = 60
 
@@ -106,16 +105,9 @@ def _add_deviations(page: Page, check: ArtefactCheck) -> None:
         x_label="deviation, mm",
         y_label="points",
     )
-    right, down = _sides(check.where)
-    scaled = np.clip(check.deviation, -reach, reach)
-    page.image(
-        pictures.cloud_from(check.where, scaled, right, down),
-        f"the points, coloured by their deviation from {-reach:.4f} (dark) to {reach:.4f} mm (light), seen along the line of least extent",
-        width=430,
+    deviation = Scalar("deviation", check.deviation, kind="diverging", limits=(-reach, reach))
+    page.cloud(
+        Scene(check.where, (deviation,)),
+        "The points that took part, by their deviation from the fitted artefact",
+        limit=100_000,
     )
-
-
-def _sides(points: Array) -> tuple[Array, Array]:
-    """Two unit vectors (3,) along the greater extents of points (N, 3)."""
-    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
-    return axes[0], axes[1]

@@ -6,6 +6,7 @@ import numpy as np
 
 from scope.inspection import Inspection
 from scope.report.page import Page
+from scope.viewer import Scalar, cloud_scene, mesh_layer
 
 _LEVELS = {"pass": "good", "fail": "bad", "undecided": "warn"}
 
@@ -37,12 +38,13 @@ def inspection_page(found: Inspection) -> str:
         local = found.pose.cloud_from_model.inverse.apply(found.cloud.points[found.pose.points])
         limit = found.tolerance or float(np.percentile(np.abs(off), 98))
         page.heading("Deviation from the model")
-        page.cloud(
-            local,
-            np.clip(off, -1.5 * limit, 1.5 * limit),
-            "mm, outside positive, in the frame of the model",
-            limit=80_000,
+        deviation = Scalar("deviation", off, kind="diverging", limits=(-1.5 * limit, 1.5 * limit))
+        model = found.pose.model
+        mesh = mesh_layer(model.vertices, model.faces, f"model {model.name}")
+        scene = cloud_scene(
+            found.cloud.select(found.pose.points), first=[deviation], layers=[mesh] if mesh else [], at=local
         )
+        page.cloud(scene, "Deviation in mm, outside positive, in the frame of the model", limit=80_000)
         edges = np.linspace(-2 * limit, 2 * limit, 81)
         count, _ = np.histogram(np.clip(off, edges[0], edges[-1]), bins=edges)
         page.plot([("", 0.5 * (edges[1:] + edges[:-1]), count)], "Points by deviation", x_label="mm", y_label="points")

@@ -6,6 +6,7 @@ import numpy as np
 
 from scope.merge import Merged
 from scope.report.page import Page
+from scope.viewer import Scalar, cloud_scene
 
 
 def merge_page(found: Merged) -> str:
@@ -40,12 +41,10 @@ def merge_page(found: Merged) -> str:
     )
     page.heading("The whole")
     which = np.concatenate([np.full(n, k, dtype=np.float64) for k, n in enumerate(found.sizes)])
-    page.cloud(found.cloud.points, which, "coloured by scan", limit=60_000)
+    scalars = [Scalar("scan", which, "", kind="names", names=found.names)]
+    told = "The whole, coloured by scan"
     if found.deviation is not None and np.isfinite(found.deviation).any():
-        page.cloud(
-            found.cloud.points,
-            found.deviation,
-            "distance from the other scans, mm; grey: seen by one scan only",
-            limit=60_000,
-        )
+        scalars.append(Scalar("deviation", found.deviation, label="distance from the other scans", kind="diverging"))
+        told += "; choose the distance from the other scans to see where they disagree (grey: seen by one scan only)"
+    page.cloud(cloud_scene(found.cloud, first=scalars), told, limit=100_000)
     return page.html()

@@ -7,21 +7,20 @@ import html
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from calibration.geometry import Array
 from calibration.rig import Rig
 from scope.origin import Origin
-from scope.report._page_cloud import CLOUD_SCRIPT
 from scope.report._style import STYLE
 from scope.version import __version__
+from scope.viewer import Picture, Scene, viewer_element, viewer_script
 
 Level = Literal["good", "warn", "bad", "plain"]
-Picture: TypeAlias = NDArray[np.uint8]  # (rows, columns) grey or (rows, columns, 3) BGR
 
 _CONTENTS = 4  # sections, from which a page has a table of contents
 _QUALITY = 85
@@ -109,19 +108,16 @@ class Page:
         """Add a picture that is drawn: an ``<svg>`` of the caller's own making, whose words he has escaped."""
         self._figure(svg.replace("<svg ", '<svg style="max-width:100%;height:auto" ', 1), caption)
 
-    def cloud(self, points: Array, values: ArrayLike, caption: str, *, limit: int = 150_000) -> None:
-        """Add a point cloud (N, 3) mm coloured by values (N,), to be turned with the mouse (WebGL).
+    def cloud(self, scene: Scene, caption: str, *, limit: int = 150_000) -> None:
+        """Add the viewer with a scene: to be turned, read, measured and cut; in print, and without WebGL, a picture of it.
 
-        At most ``limit`` points are shown, every k-th, so that the page stays small; the caption says so.
+        At most ``limit`` points are put into the page, even over the surface, so that it stays small; the caption says so.
         """
-        step = max(1, -(-len(points) // limit))
-        shown, colour = points[::step], colour_bgr(np.asarray(values, dtype=np.float64)[::step])[:, ::-1]
-        centre = np.median(shown, axis=0) if len(shown) else np.zeros(3)
-        payload = np.zeros(len(shown), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3), ("pad", "u1")])
-        payload["xyz"], payload["rgb"] = shown - centre, colour
-        data = base64.b64encode(payload.tobytes()).decode("ascii")
-        note = caption if step == 1 else f"{caption} (every {step}th of {len(points)} points)"
-        self._figure(f'<canvas class="cloud" data-points="{data}"></canvas>', note, kind=' class="whole turned"')
+        shown = scene.thinned(limit)
+        note = (
+            caption if len(shown) == len(scene) else f"{caption} ({len(shown)} of {len(scene)} points, evenly chosen)"
+        )
+        self._figure(viewer_element(shown, caption), note, kind=' class="whole turned"')
         self._has_cloud = True
 
     def about_rig(self, rig: Rig, name: str = "rig.json") -> None:
@@ -136,7 +132,7 @@ class Page:
     def html(self) -> str:
         """The whole page."""
         self._close_figures()
-        script = f"<script>{CLOUD_SCRIPT}</script>" if self._has_cloud else ""
+        script = viewer_script() if self._has_cloud else ""
         title = html.escape(self.title)
         long = len(self._headings) >= _CONTENTS
         contents = "".join(f'<li><a href="#s{k}">{html.escape(h)}</a></li>' for k, h in enumerate(self._headings, 1))
@@ -182,23 +178,6 @@ def _smallest(picture: Picture) -> tuple[str, bytes]:
     if done and 3 * len(close) < 2 * len(exact):
         return "webp", close.tobytes()
     return "png", exact.tobytes()
-
-
-def colour_bgr(values: Array, low: float | None = None, high: float | None = None) -> Picture:
-    """Colours (..., 3) BGR of values (viridis between ``low`` and ``high``); NaN is dark grey.
-
-    Without limits, the 2nd and 98th percentile are used, so that a few wild values do not hide the rest.
-    """
-    known = np.isfinite(values)
-    if not known.any():
-        return np.full((*values.shape, 3), 64, dtype=np.uint8)
-    bottom = float(np.percentile(values[known], 2)) if low is None else low
-    top = float(np.percentile(values[known], 98)) if high is None else high
-    scaled = np.clip((np.where(known, values, bottom) - bottom) / max(top - bottom, 1e-30), 0, 1)
-    grey = np.rint(scaled * 255).astype(np.uint8)
-    picture = cv2.applyColorMap(grey.reshape(-1, 1), cv2.COLORMAP_VIRIDIS).reshape(*values.shape, 3)
-    picture[~known] = 64
-    return np.asarray(picture, dtype=np.uint8)
 
 
 def _is_number(text: str) -> bool:

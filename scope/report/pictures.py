@@ -7,8 +7,8 @@ import numpy as np
 
 from calibration.geometry import Array, Bools
 from ranging.background import Image
-from scope.report.page import Picture, colour_bgr
 from scope.session import gray
+from scope.viewer import Picture, colour_bgr
 
 _GREEN, _RED, _YELLOW, _BLUE = (90, 200, 60), (60, 60, 230), (40, 200, 240), (230, 140, 40)
 
@@ -84,27 +84,6 @@ def grey_blocks(values: Array, *, high: float | None = None, enlarge: int = 1) -
 def heat(values: Array, *, enlarge: int = 1, low: float | None = None, high: float | None = None) -> Picture:
     """Colours of values (rows, columns)."""
     return np.kron(colour_bgr(values, low, high), np.ones((enlarge, enlarge, 1), dtype=np.uint8))
-
-
-def cloud_from(points: Array, values: Array, right: Array, down: Array, *, width: int = 700) -> Picture:
-    """Orthographic picture of points (N, 3) coloured by values (N,), seen along right x down; the nearest lies on top."""
-    x, y = points @ right, points @ down
-    depth = points @ np.cross(right, down)
-    low_x, high_x = np.percentile(x, [0.2, 99.8])
-    low_y, high_y = np.percentile(y, [0.2, 99.8])
-    scale = (width - 20) / max(high_x - low_x, 1e-9)
-    height = int(min(max((high_y - low_y) * scale, 60), 1.4 * width)) + 20
-    scale = min(scale, (height - 20) / max(high_y - low_y, 1e-9))
-    picture = np.full((height, width, 3), 24, dtype=np.uint8)
-    order = np.argsort(-depth)
-    column = np.rint(10 + (x - low_x) * scale).astype(int)[order]
-    row = np.rint(10 + (y - low_y) * scale).astype(int)[order]
-    colours = colour_bgr(values)[order]
-    for dx in (0, 1):
-        for dy in (0, 1):
-            inside = (column + dx >= 0) & (column + dx < width) & (row + dy >= 0) & (row + dy < height)
-            picture[row[inside] + dy, column[inside] + dx] = colours[inside]
-    return picture
 
 
 def _at(pixel: Array | tuple[float, float], scale: float) -> tuple[int, int]:

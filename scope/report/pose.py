@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from calibration.geometry import Array
 from scope.cloud import ScanCloud
 from scope.model import Surface
 from scope.pose import CONVENTION, Placed, pose_text
 from scope.report.page import Page
+from scope.viewer import Scalar, Scene, cloud_scene, mesh_layer
 
 SHOWN = 20_000  # points of a cloud on the page
 
 
 def pose_page(
-    title: str, found: bool, words: str, tell: str, rows: list[dict[str, Any]], scans: list[tuple[str, Array, Array]]
+    title: str, found: bool, words: str, tell: str, rows: list[dict[str, Any]], scans: list[tuple[str, Scene]]
 ) -> str:
     """One HTML page.
 
@@ -28,8 +28,8 @@ def pose_page(
         Whether there is a pose to use.
     rows : list of dict
         Candidates, best first, with explained, blocked, covered and behind.
-    scans : list of (caption, points (N, 3), values (N,))
-        Clouds to be shown, coloured by value.
+    scans : list of (caption, Scene)
+        What is to be shown.
     """
     page = Page(title)
     page.verdict("good" if found else "bad", words)
@@ -54,8 +54,8 @@ def pose_page(
             for k, r in enumerate(rows)
         ],
     )
-    for caption, points, values in scans:
-        page.cloud(points, values, caption, limit=2 * SHOWN)
+    for caption, scene in scans:
+        page.cloud(scene, caption, limit=2 * SHOWN)
     page.text(CONVENTION)
     return page.html()
 
@@ -70,22 +70,21 @@ def pose_html(cloud: ScanCloud, placed: Placed) -> str:
     shown = []
     if result.candidates:
         surface = Surface(result.model.vertices, result.model.faces)
-        points = cloud.points[result.points][:: max(1, len(result.points) // 20_000)]
+        chosen = result.points[:: max(1, len(result.points) // SHOWN)]
+        part = cloud.select(chosen)
+        mesh = mesh_layer(result.model.vertices, result.model.faces, "model")
         for k, candidate in enumerate(result.candidates[:2]):
-            inverse = candidate.cloud_from_model.inverse
             pose = (
                 result.cloud_from_model
                 if k == 0 and result.cloud_from_model is not None
                 else candidate.cloud_from_model
             )
-            inverse = pose.inverse
-            deviation = surface.signed_distance(inverse.apply(points))
-            ghost = result.model.samples[::4]
-            both = np.concatenate([inverse.apply(points), ghost])
-            values = np.concatenate([np.clip(deviation, -1, 1), np.full(len(ghost), np.nan)])
+            local = pose.inverse.apply(part.points)
+            off = Scalar("deviation", surface.signed_distance(local), kind="diverging", limits=(-1.0, 1.0))
             name = "Best pose" if k == 0 else "Runner-up"
+            scene = cloud_scene(part, first=[off], layers=[mesh] if mesh else [], at=local)
             shown.append(
-                (f"{name}: scan on the model, coloured by its deviation within +-1 mm; the mesh in grey", both, values)
+                (f"{name}: scan on the model (grey), coloured by its deviation in mm, outside positive", scene)
             )
     words = pose_text(placed).replace("\n", "; ")
     return pose_page(f"Pose of {result.model.name}", result.found, words, result.tell_apart, rows, shown)

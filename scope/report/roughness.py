@@ -11,8 +11,9 @@ import numpy as np
 
 from calibration.geometry import Array
 from scope.heightmap import HeightMap, local_roughness, power_spectrum
-from scope.report.page import Page, Picture, colour_bgr
+from scope.report.page import Page
 from scope.roughness import AREAL, PROFILE, AbbottCurve, Definition, Parameter, Roughness
+from scope.viewer import Picture, Scalar, Scene, colour_bgr, tilted
 
 _WIDEST = 900  # px of a picture of a map
 
@@ -82,6 +83,21 @@ def shaded(heights: HeightMap) -> Picture:
     return _square(np.clip(np.rint(lit), 0, 255).astype(np.uint8), heights.pitch)
 
 
+def _relief(heights: HeightMap) -> Scene:
+    """The map as points: x along the stripe, y across it, z the height, shown so much higher that it is seen."""
+    row, column = np.nonzero(heights.known)
+    z = heights.z[row, column]
+    points = np.stack([column * heights.pitch[1], -row * heights.pitch[0], z], axis=1)
+    scalars = [Scalar("height", z)]
+    if heights.sigma is not None:
+        scalars.append(Scalar("sigma", heights.sigma[row, column], label="sigma, noise"))
+    low, high = np.percentile(z, (1, 99))
+    power = 0.12 * max(heights.size) / max(float(high - low), 1e-9)
+    step = 10.0 ** np.floor(np.log10(max(power, 1.0)))
+    stretch = float(max(1.0, step * np.floor(power / step)))
+    return Scene(points, tuple(scalars), look=tilted("z"), stretch=(1.0, 1.0, stretch))
+
+
 def _square(picture: Picture, pitch: tuple[float, float]) -> Picture:
     """Picture with pixels as wide as high, at most 900 on a side."""
     import cv2
@@ -111,6 +127,11 @@ def _pictures(page: Page, patch: Roughness) -> None:
         shaded(heights),
         f"Heights from {low:.3g} (dark) to {high:.3g} mm (bright), lit from the upper left; {heights.size[1]:.4g} x "
         f"{heights.size[0]:.4g} mm, the stripe runs along the rows",
+    )
+    page.cloud(
+        _relief(heights),
+        "The heights after the form was taken off, to be turned and cut; shown higher than they are",
+        limit=120_000,
     )
     window = 0.15 * min(heights.size)
     local = local_roughness(heights.z, pitch, window)

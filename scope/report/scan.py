@@ -16,6 +16,7 @@ from scope.report import pictures
 from scope.report.page import Page
 from scope.scanning import Agreement, Scan
 from scope.session import Capture, open_source, read_capture, read_image
+from scope.viewer import cloud_from, cloud_scene
 
 _WHY = {
     "no_light": "no peak clear of the noise: nothing there, too dark, or in shadow",
@@ -98,9 +99,7 @@ def scan_page(found: Scan, capture: str | Path) -> str:
     for trouble in found.troubles:
         page.verdict("bad", f"Do not use this cloud: {trouble}.")
     page.verdict(level, f"{text}: {len(cloud)} points from {found.frames} frames.")  # type: ignore[arg-type]
-    page.cloud(
-        cloud.points, cloud.points[:, 2], "The cloud, coloured by z. Drag to turn, wheel to zoom, shift-drag to move"
-    )
+    page.cloud(cloud_scene(cloud), "The cloud")
     add_views(page, cloud)
     page.heading("Lines of the images without a point, and why")
     lines = max(1, sum(found.rejected.values()) + found.points + sum(found.filtered.values()))
@@ -151,9 +150,9 @@ def add_views(page: Page, cloud: ScanCloud) -> None:
     x, y, z = np.eye(3)
     if len(cloud) == 0:
         return
-    page.image(pictures.cloud_from(cloud.points, cloud.points[:, 2], x, y), "seen along z, coloured by z", width=430)
+    page.image(cloud_from(cloud.points, cloud.points[:, 2], x, y), "seen along z, coloured by z", width=430)
     page.image(
-        pictures.cloud_from(cloud.points, cloud.intensity.astype(np.float64), x, z),
+        cloud_from(cloud.points, cloud.intensity.astype(np.float64), x, z),
         "seen along y (z down), coloured by brightness",
         width=430,
     )
