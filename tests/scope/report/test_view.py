@@ -56,7 +56,7 @@ def test_the_command_keeps_the_page_and_refuses_other_files(tmp_path: Path, sess
     page = tmp_path / "page.html"
     done = CliRunner().invoke(app, ["view", str(session.rig), "-o", str(page), "--no-show", "--json"])
     assert done.exit_code == 0
-    assert json.loads(done.stdout) == {"page": str(page), "shown": False}
+    assert {"page": str(page), "shown": False}.items() <= json.loads(done.stdout).items()
     assert page.read_text(encoding="utf-8").endswith("</html>\n")
     ScanCloud.from_points(np.eye(3)).save(tmp_path / "cloud.ply")
     done = CliRunner().invoke(
