@@ -1,12 +1,14 @@
 """Errors of a pose beside the Cramer-Rao bound of its scan and robust point-to-plane ICP, through rendered images.
 
-    python -m benchmarks.pose_bound [--rigs 1] [--first 0] [--keep FOLDER]
+    python -m benchmarks.pose_bound [--rigs 1] [--first 0] [--scans 3] [--keep FOLDER] [--store FILE]
+    python -m benchmarks.pose_bound --summary FILE
 
-Each rig is drawn, rendered with a plane and three brackets in different poses, calibrated and scanned; nothing is taken from the
-truth but the regions. The bound is that of least squares with the points' own sigma, all points that are ranged,
-at the true pose: what nobody can beat, with no error of calibration and no edges. The peer is open3d's point-to-plane ICP
-with Tukey's weight (0.1 mm, from wide to narrow) on the same points. Both start 0.3 mm and 0.3 degrees from the truth in the refinement;
-the poses of SCOPE are found by its search. Rows "less": the same scan without `sensor`, without `sigma`, with half of its points.
+Each rig is drawn, rendered with a plane and three of six parts, calibrated and scanned; nothing is taken from the truth but
+the regions. The bound is that of least squares with the points' own sigma, all points that are ranged, at the true pose: what nobody
+can beat, with no error of calibration and no edges. The peer is open3d's point-to-plane ICP with Tukey's weight (0.1 mm, from
+wide to narrow) on the same points, from 0.3 mm and 0.3 degrees beside the truth; the poses of SCOPE are found by its search.
+Rows "no sensor", "no sigma" and "half": the same scan with that taken away. Slices: ``--first`` and ``--rigs`` choose the rigs, ``--store``
+gathers one line a scan, ``--summary`` makes the table of all that was stored.
 """
 
 from __future__ import annotations
@@ -15,15 +17,15 @@ import argparse
 import json
 import tempfile
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks import parts
+from benchmarks import parts, variants
 from benchmarks.pose import errors
 from benchmarks.shared import head, row
-from calibration.geometry import Array, Pose
+from calibration.geometry import Array, Ints, Pose
 from scope.calibrating import calibrate
 from scope.cloud import Polygon, ScanCloud
 from scope.model import Model, Scanned, Surface, Weighting, evaluate
@@ -36,7 +38,7 @@ from scope.simulation import read_design, simulate
 SEED = 730_000
 
 
-def bracket() -> parts.Part:
+def bracket() -> tuple[Array, Ints]:
     """A bracket of 50 mm with chamfered corner, boss, hole and two levels."""
     regions = [
         (parts.rectangle(0, 26, 48, 34), 0.0, 16.0),
@@ -45,11 +47,23 @@ def bracket() -> parts.Part:
         (parts.circle(16, 14, 3), 0.0, 0.0),
         (parts.circle(38, 10, 4), 0.0, 0.0),
     ]
-    return parts.Part("bracket", *parts.prisms(parts.rectangle(0, 0, 48, 34), regions, 0.0, 9.0))
+    return parts.prisms(parts.rectangle(0, 0, 48, 34), regions, 0.0, 9.0)
 
 
-def design(rng: np.random.Generator, mesh: Path) -> str:
-    """A rig and three brackets, one nearly flat to the camera, two tilted."""
+PARTS = (("bracket", 1.0), ("plate", 0.5), ("casting", 0.5), ("bar", 0.5), ("clip", 1.0), ("flange", 0.65))  # and size
+
+
+def made(number: int) -> list[parts.Part]:
+    """The three parts of a rig: the first three in rigs of even number, the others in odd ones."""
+    found = []
+    for name, size in PARTS[3 * (number % 2) :][:3]:
+        vertices, faces = bracket() if name == "bracket" else variants.PARTS[name](variants.Change())
+        found.append(parts.Part(name, size * vertices, faces))
+    return found
+
+
+def design(rng: np.random.Generator, solids: list[parts.Part], home: Path) -> str:
+    """A rig and three parts, one nearly flat to the camera, two tilted."""
     focal, base = rng.uniform(1100, 1400), rng.uniform(150, 210)
     objects = ""
     for k, tilt in enumerate((3.0, 22.0, 28.0)):
@@ -59,8 +73,9 @@ def design(rng: np.random.Generator, mesh: Path) -> str:
         spin = Pose.from_rotation_vector([0, 0, rng.uniform(-np.pi, np.pi)], np.zeros(3)).rotation
         rotation = lean @ spin @ np.diag([1.0, -1.0, -1.0])
         middle = np.array([(-75.0, 0.0, 75.0)[k] + rng.uniform(-3, 3), rng.uniform(-4, 4), 405.0])
-        at = Pose(rotation, middle - rotation @ np.array([24.0, 17.0, 8.0])).matrix.tolist()
-        objects += f'[[object]]\nmesh = "{mesh}"\npose = {at}\n'
+        vertices = solids[k].vertices
+        at = Pose(rotation, middle - rotation @ (0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))).matrix.tolist()
+        objects += f'[[object]]\nmesh = "{home / solids[k].name}.stl"\npose = {at}\n'
     return f"""format = 1
 [camera]
 size = [1280, 800]
@@ -92,7 +107,6 @@ direction = [0.0, 1.0, 0.0]
 start = -33.0
 step = 0.6
 frames = 110
-off_images = 1
 """
 
 
@@ -100,24 +114,36 @@ def _unit(vector: Array) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def rigs(numbers: range, keep: Path | None) -> Iterator[tuple[int, ScanCloud, list[Pose], parts.Part]]:
-    """Clouds of the rigs, each with the true poses cloud_from_model of its brackets."""
-    part = bracket()
+@dataclass(frozen=True)
+class Scan:
+    """One part of one rig."""
+
+    name: str  # rig and part
+    part: parts.Part
+    cloud: ScanCloud  # of all three parts
+    truth: Pose  # cloud_from_model
+
+
+def scans(numbers: range, keep: Path | None, most: int) -> Iterator[Scan]:
+    """The parts of the rigs, each with the cloud of its rig."""
     for number in numbers:
         with tempfile.TemporaryDirectory() as scratch:
             home = (keep or Path(scratch)) / f"rig{number}"
             home.mkdir(parents=True, exist_ok=True)
-            cloud_file = home / "cloud.ply"
+            cloud_file, solids = home / "cloud.ply", made(number)
             if not cloud_file.is_file():
                 rng = np.random.default_rng(SEED + number)
-                part.mesh().export(home / "bracket.stl")
-                (home / "design.toml").write_text(design(rng, home / "bracket.stl"), encoding="utf-8")
+                for part in solids:
+                    part.mesh().export(home / f"{part.name}.stl")
+                (home / "design.toml").write_text(design(rng, solids, home), encoding="utf-8")
                 simulate(read_design(home / "design.toml"), home / "session", rng)
                 calibrate(home / "session" / "calibration.toml").rig.save(home / "rig.json")
-                scan(home / "session" / "capture.toml", home / "rig.json").cloud.save(cloud_file)
+                scan(home / "session" / "capture.toml", home / "rig.json").save(cloud_file)
             truth = json.loads((home / "session" / "truth" / "truth.json").read_text(encoding="utf-8"))
             poses = [Pose.from_matrix(o["cloud_from_model"]) for o in truth["object"] if o.get("mesh")]
-            yield number, ScanCloud.load(cloud_file), poses, part
+            cloud = ScanCloud.load(cloud_file)
+            for part, pose in list(zip(solids, poses, strict=True))[:most]:
+                yield Scan(f"{number}.{part.name}", part, cloud, pose)
 
 
 def bound(surface: Surface, cloud: ScanCloud, truth: Pose, centre: Array) -> tuple[float, float]:
@@ -158,10 +184,9 @@ def less(cloud: ScanCloud) -> dict[str, ScanCloud]:
     }
 
 
-def one(
-    part: parts.Part, model: Model, cloud: ScanCloud, truth: Pose, rng: np.random.Generator
-) -> dict[str, tuple[float, float, str]]:
+def one(which: Scan, model: Model, rng: np.random.Generator) -> dict[str, tuple[float, float, str]]:
     """Errors (degrees, mm, remark) by estimator, and the bound."""
+    part, cloud, truth = which.part, which.cloud, which.truth
     corners = truth.apply(part.vertices)
     low, high = corners.min(axis=0) - 3, corners.max(axis=0) + 3
     within = Polygon(np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]))
@@ -187,17 +212,30 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", type=int, default=1)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--scans", type=int, default=3, help="of each rig, the first ones")
     parser.add_argument("--keep", type=Path, help="folder in which sessions and clouds are kept for the next time")
+    parser.add_argument("--store", type=Path, help="file to which each scan adds a line")
+    parser.add_argument("--summary", type=Path, nargs="+", help="no scans: the table of what these files hold")
     told = parser.parse_args()
+    if told.summary:
+        return summary([json.loads(line) for file in told.summary for line in file.read_text().splitlines()])
     results: list[dict[str, tuple[float, float, str]]] = []
-    model: Model | None = None
     head("scan", "estimator", "degrees", "mm", "remark")
-    for number, cloud, poses, part in rigs(range(told.first, told.first + told.rigs), told.keep):
-        model = model or prepare_model(part.vertices, part.faces, name=part.name)
-        for k, truth in enumerate(poses):
-            results.append(one(part, model, cloud, truth, np.random.default_rng(SEED + 10 * number + k)))
+    for number in range(told.first, told.first + told.rigs):
+        for k, which in enumerate(scans(range(number, number + 1), told.keep, told.scans)):
+            model = prepare_model(which.part.vertices, which.part.faces, name=which.part.name)
+            results.append(one(which, model, np.random.default_rng(SEED + 10 * number + k)))
             for name, (turn, shift, remark) in results[-1].items():
-                row(f"{number}.{k}", name, turn, shift, remark)
+                row(which.name, name, turn, shift, remark)
+            if told.store:
+                with told.store.open("a", encoding="utf-8") as out:
+                    out.write(json.dumps(results[-1]) + "\n")
+    return summary(results)
+
+
+def summary(results: list[dict[str, tuple[float, float, str]]]) -> None:
+    """Medians of ratios over all scans."""
+    print(f"\n{len(results)} scans")
     head("estimator", "median error over the bound: turn, shift", "over ICP: turn, shift")
     for name in results[0]:
         if name != "bound":

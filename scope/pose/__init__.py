@@ -4,12 +4,14 @@ In: a cloud, with where camera and laser stood if it knows, and a `Model`.
 Out: `PoseResult`: cloud_from_model, covariance, runner-up and margin; refused where another pose explains as
     much, or where it is another part, and then in what it differs.
 Read: placed, estimate, answer, segmentation, glance, search, piece, visibility, decision, rim, borders, uncertainty,
-    wording, several.
+    residuals, wording, several.
 """
 
-from scope.pose.answer import PoseOptions, PoseResult
+from scope.pose.answer import Candidate, PoseOptions, PoseResult
+from scope.pose.decision import Difference, difference
 from scope.pose.estimate import estimate_pose
 from scope.pose.placed import Placed, frame_of, place, read_robot_from_camera, read_transform, write_deviation
+from scope.pose.residuals import FaceResidual
 from scope.pose.search import normals_of, thin
 from scope.pose.segmentation import largest_plane
 from scope.pose.several import BAD_DATA, Sighted, Told, poses_of, poses_table, sighted_result
@@ -20,10 +22,14 @@ from scope.pose.wording import CONVENTION, notations_text, pose_json, pose_resul
 __all__ = [
     "BAD_DATA",
     "CONVENTION",
+    "Candidate",
+    "Difference",
+    "FaceResidual",
     "Placed",
     "PoseOptions",
     "PoseResult",
     "Sighted",
+    "difference",
     "estimate_pose",
     "frame_of",
     "largest_plane",

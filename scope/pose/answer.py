@@ -9,6 +9,7 @@ import numpy as np
 from calibration.geometry import Array, Ints, Pose
 from calibration.notebook import Picture, Shown, Summary, number, scatter
 from scope.model import Model
+from scope.pose.residuals import FaceResidual
 from scope.pose.uncertainty import Uncertainty
 from scope.variants import Undecided, Variant
 
@@ -62,6 +63,8 @@ class PoseResult(Shown):
     others: tuple[PoseResult, ...] = ()  # further equal parts in the same scan
     variant: Variant | None = None  # how the scanned part differs from the mesh by more than its tolerance
     undecided: tuple[Undecided, ...] = ()  # variants that would look the same in this scan
+    faces: tuple[FaceResidual, ...] = ()  # what the best candidate leaves on each face of the model
+    part_tolerance: float = 0.1  # mm, by which they were judged
 
     @property
     def found(self) -> bool:

@@ -162,8 +162,17 @@ def _about(model: Model, motion: Pose, turn: float, shift: float) -> bool:
     return bool(tilt < turn and np.linalg.norm(motion.apply(p) - p) < shift)
 
 
-def what_differs(model: Model, best: Pose, rival: Pose) -> str:
-    """Where on the model two poses differ most, and from where that is seen, in words.
+@dataclass(frozen=True, slots=True, eq=False)
+class Difference:
+    """Where on the model two poses differ most."""
+
+    at: Array  # (3,) mm, model frame
+    out: Array  # (3,) unit, outwards there, model frame
+    size: float  # mm between the surfaces
+
+
+def difference(model: Model, best: Pose, rival: Pose) -> Difference | None:
+    """Where two poses cloud_from_model differ most; None where the mesh itself looks the same in both.
 
     The model's samples are moved by the motion between the two poses; those far from the surface then are the features
     that tell them apart.
@@ -172,12 +181,21 @@ def what_differs(model: Model, best: Pose, rival: Pose) -> str:
     away = np.abs(model.fine.look_up(motion.apply(model.samples))[0])
     worst = away > 0.5 * float(away.max())
     if float(away.max()) < 1e-3 * model.diameter:
-        return "the mesh itself looks the same in both poses"
+        return None
     middle = np.median(model.samples[worst], axis=0)
     near = worst & (np.linalg.norm(model.samples - middle, axis=1) < 0.15 * model.diameter)
     out = model.normals[near if near.any() else worst].mean(axis=0)
-    seen = best.rotation @ (out / max(float(np.linalg.norm(out)), 1e-9))
+    return Difference(middle, out / max(float(np.linalg.norm(out)), 1e-9), float(away.max()))
+
+
+def what_differs(model: Model, best: Pose, rival: Pose) -> str:
+    """Where on the model two poses differ most, and from where that is seen, in words."""
+    found = difference(model, best, rival)
+    if found is None:
+        return "the mesh itself looks the same in both poses"
+    x, y, z = found.at
+    seen = best.rotation @ found.out
     return (
-        f"the poses differ most about ({middle[0]:.0f}, {middle[1]:.0f}, {middle[2]:.0f}) mm of the model (by {away.max():.1f} mm); "
+        f"the poses differ most about ({x:.0f}, {y:.0f}, {z:.0f}) mm of the model (by {found.size:.1f} mm); "
         f"scan it from the direction ({seen[0]:.2f}, {seen[1]:.2f}, {seen[2]:.2f}) of the cloud"
     )

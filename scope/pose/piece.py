@@ -23,6 +23,7 @@ from scope.pose.decision import (
     same_answer,
     what_differs,
 )
+from scope.pose.residuals import residuals_by_face
 from scope.pose.rim import settle_by_rim
 from scope.pose.search import View, normals_of, polish, search, thin
 from scope.pose.uncertainty import Shared, Uncertainty, shared_errors, uncertainty
@@ -251,6 +252,15 @@ def _decide(piece: Piece, rated: list[Likelihood], view: View) -> PoseResult:
         model=model,
         variant=variant,
         undecided=undecided,
+        faces=residuals_by_face(
+            piece.surface,
+            fit.pose,
+            piece.scan.points,
+            piece.cloud.sigma[piece.rows].astype(np.float64),
+            diameter=model.diameter,
+            tolerance=piece.options.part_tolerance,
+        ),
+        part_tolerance=piece.options.part_tolerance,
     )
 
 

@@ -138,6 +138,20 @@ def pose_result(placed: Placed) -> dict[str, Any]:
             }
             for u in result.undecided
         ],
+        "faces": [
+            {
+                "what": face.what,
+                "at_mm": face.at.tolist(),
+                "direction": face.direction.tolist() if np.isfinite(face.direction).all() else None,
+                "points": face.points,
+                "mean_mm": face.mean,
+                "standard_error_mm": face.error,
+                "scatter_mm": face.scatter,
+                "sigma_mm": face.stated if np.isfinite(face.stated) else None,
+                "off": face.off,
+            }
+            for face in result.faces
+        ],
         "points": len(result.points),
         "others": [
             {"cloud_from_model": o.cloud_from_model.matrix.tolist(), "score": o.score, "rmse_mm": o.rmse_mm}
