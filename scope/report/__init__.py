@@ -2,7 +2,7 @@
 
 In: a calibration, a scan, roughness, a pose, a check, a cloud.
 Out: one HTML file each, and the tables that the terminal prints.
-Read: page, pictures, freehand, calibration, scan, roughness, pose, check, certificate, hand_eye, merge, inspection, view.
+Read: page, pictures, freehand, calibration, scan, roughness, part, pose, check, certificate, hand_eye, merge, inspection, view.
 """
 
 from scope.report.calibration import (
