@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.geometry import Array, Pose
 from scope.model import Surface
-from scope.report.page import Picture
+from scope.viewer import Picture
 
 INSIDE, ON, OUTSIDE = (190, 80, 10), (150, 235, 250), (30, 30, 190)  # BGR: blue, pale yellow, red
 BACKGROUND = 250
