@@ -4,6 +4,13 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+TROUBLES = "docs/troubleshooting.md"  # every reason and every kind of fault stands there under its own word
+
+
+def see(*words: str) -> str:
+    """Where the documentation tells of reasons or kinds of faults; empty for none."""
+    return f"{TROUBLES}#{', #'.join(dict.fromkeys(words))}" if words else ""
+
 
 class Reason(IntEnum):
     """Why a row of a result is NaN; ``RANGED`` is the only one with a point.

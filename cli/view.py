@@ -49,7 +49,7 @@ def export(
         if line:
             say(line, quiet=quiet)
     told = {"points": len(found), "for": reader or None, "not_carried": lost or None}
-    emit(told, as_json=as_json, text=f"wrote {len(found)} points to {out}")
+    emit(told, as_json=as_json, text=f"wrote {len(found)} points to {out}", inputs=[cloud])
 
 
 def view(
@@ -70,14 +70,15 @@ def view(
     import webbrowser
 
     from calibration.atomic import require_folder, write_text
-    from scope.report import view_page
+    from scope.origin import origin_of
+    from scope.report import signed, view_page
 
     with user_errors():
         require_folder(out)
         html = view_page(path, rig=rig, allow_edited=allow_edited)
         page = out or Path(tempfile.mkdtemp(prefix="scope-")) / f"{path.stem}.html"
-        write_text(page, html)
+        write_text(page, signed(html, origin_of([path])))
     shown = show and webbrowser.open(page.resolve().as_uri())
     if show and not shown:
         say("no browser was found: open the page yourself", quiet=quiet)
-    emit({"page": str(page), "shown": shown}, as_json=as_json, text=f"{page}")
+    emit({"page": str(page), "shown": shown}, as_json=as_json, text=f"{page}", inputs=[path])

@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from calibration.digits import decimals
 from calibration.geometry import Array, Pose
 from calibration.rays import MOST_BAD, BadMarks, PlaneMarks
 from calibration.verification import misplacement as placement
@@ -97,7 +98,7 @@ class _Size:
 
 def _written(size: _Size) -> str:
     """Value and standard error with as many decimals as the error deserves."""
-    digits = max(0, 1 - int(np.floor(np.log10(size.error)))) if size.error > 0 and np.isfinite(size.error) else 3
+    digits = decimals(size.error, usual=3)
     return f"{size.value:+.{digits}f} +- {size.error:.{digits}f} {size.unit}"
 
 

@@ -20,6 +20,7 @@ from calibration.rays import (
     rms,
     undetermined,
 )
+from calibration.reason import see
 from calibration.rig import Verification
 from calibration.sheet import Laser
 from calibration.stages import Stage
@@ -286,6 +287,7 @@ def fault_content(fault: Fault) -> dict[str, Any]:
         "centre": fault.centre,
         "mark": fault.mark,
         "remedy": fault.remedy,
+        "see": see(fault.kind),
     }
 
 
@@ -310,6 +312,7 @@ def _moved(seen: list[MeasuredPlane]) -> list[dict[str, Any]]:
                     "or": [],
                     "remedy": f"plane {s.plan.name}: target or camera moved by {s.repeat_px:.3f} px between the repeats: fix both and "
                     "take the images of this plane again",
+                    "see": see("moved"),
                 }
             )
     return faults

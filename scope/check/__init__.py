@@ -9,6 +9,7 @@ Read: artefact, shapes, decision, wording, budget, certificate.
 from scope.check.artefact import (
     Artefact,
     ArtefactCheck,
+    Size,
     check_artefact,
     check_repeats,
     fit_artefact,
@@ -20,7 +21,7 @@ from scope.check.budget import Budget, uncertainty_budget
 from scope.check.certificate import Certificate, certify
 from scope.check.decision import Decision, decide, overall
 from scope.check.shapes import Shape
-from scope.check.wording import check_result, check_text, out_of_tolerance, repeat_result
+from scope.check.wording import check_result, check_text, error_text, out_of_tolerance, repeat_result
 
 __all__ = [
     "Artefact",
@@ -28,12 +29,14 @@ __all__ = [
     "Budget",
     "Certificate",
     "Decision",
+    "Size",
     "Shape",
     "certify",
     "check_artefact",
     "check_repeats",
     "check_result",
     "check_text",
+    "error_text",
     "decide",
     "fit_artefact",
     "out_of_tolerance",

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.digits import rounded, two_digits
 from scope.check.artefact import ArtefactCheck, Repeatability
 
 
@@ -36,19 +37,26 @@ def check_result(check: ArtefactCheck) -> dict[str, Any]:
     }
 
 
+def error_text(check: ArtefactCheck) -> str:
+    """The largest error, to the place that its uncertainty allows; to that of the scatter where no size has one."""
+    worst = max(check.sizes, key=lambda s: abs(s.error), default=None)
+    return rounded(check.error_mm, check.rms_mm / 10 if worst is None else worst.uncertainty, sign=True)
+
+
 def check_text(check: ArtefactCheck) -> str:
     """One scan of an artefact for a person."""
     lines = [
-        f"{s.name}: {s.measured:.4f} mm, nominal {s.nominal:g}, error {s.error:+.4f} (claimed uncertainty {s.uncertainty:.4f}, k = 2)"
+        f"{s.name}: {rounded(s.measured, s.uncertainty)} mm, nominal {s.nominal:g}, error {rounded(s.error, s.uncertainty, sign=True)} "
+        f"(claimed uncertainty {two_digits(s.uncertainty)}, k = 2)"
         for s in check.sizes
     ]
     linearity = (
-        f"{check.linearity_percent:.4f} % of {check.span_mm:.1f} mm"
+        f"{two_digits(check.linearity_percent)} % of {check.span_mm:.1f} mm"
         if np.isfinite(check.linearity_percent)
         else "not covered"
     )
     lines.append(
-        f"error {check.error_mm:+.4f} mm, form (95 %) {check.form_mm:.4f} mm, rms {check.rms_mm:.4f} mm, linearity {linearity}, "
+        f"error {error_text(check)} mm, form (95 %) {check.form_mm:.3g} mm, rms {check.rms_mm:.3g} mm, linearity {linearity}, "
         f"{check.points} points"
     )
     if check.claimed is False:

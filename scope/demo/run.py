@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from calibration.atomic import write_text
+from calibration.digits import rounded, two_digits
 from calibration.geometry import Array, Plane, Pose
 from scope import simulation
 from scope.calibrating import Calibration, calibrate
@@ -109,7 +110,12 @@ def demo_text(result: dict[str, Any]) -> str:
     """Table of deviations for the terminal."""
     rows = [("", "found", "true", "deviation")]
     rows += [
-        (d["what"], f"{d['found']:.4f}", f"{d['true']:.4f}", f"{d['error']:+.4f} {d['unit']}")
+        (
+            d["what"],
+            rounded(d["found"], abs(d["error"])),
+            f"{d['true']:.6g}",
+            f"{rounded(d['error'], abs(d['error']), sign=True)} {d['unit']}",
+        )
         for d in result["deviations"]
     ]
     widths = [max(len(row[k]) for row in rows) for k in range(4)]
@@ -223,7 +229,7 @@ def _roughness(found: Scan, pose: Pose, item: dict[str, Any], out: Path) -> Devi
     plane = np.column_stack([rows.ravel(), columns.ravel(), np.ones(inside.size)])
     rest = inside.ravel() - plane @ np.linalg.lstsq(plane, inside.ravel(), rcond=None)[0]
     sq = patch.areal["Sq"]
-    note = f"+- {sq.uncertainty:.4f} (k = 2)" if sq.uncertainty is not None else ""
+    note = f"+- {two_digits(sq.uncertainty)} (k = 2)" if sq.uncertainty is not None else ""
     return Deviation("rough coupon, Sq", float("nan") if sq.value is None else sq.value, float(rest.std()), "mm", note)
 
 
@@ -248,7 +254,11 @@ def _pose(found: Scan, truth: dict[str, Any], out: Path) -> list[Deviation]:
         return [Deviation("pose of the bracket: none", float("nan"), 0.0, "mm", answer.why)]
     gap = true.inverse @ answer.cloud_from_model
     turn = float(np.degrees(np.arccos(np.clip((np.trace(gap.rotation) - 1) / 2, -1, 1))))
-    claimed = "" if answer.covariance is None else f" (sigma {np.sqrt(np.trace(answer.covariance[:3, :3])):.3f} mm)"
+    claimed = (
+        ""
+        if answer.covariance is None
+        else f" (sigma {two_digits(float(np.sqrt(np.trace(answer.covariance[:3, :3]))))} mm)"
+    )
     return [
         Deviation(
             f"pose of the bracket, position{claimed}", float(np.linalg.norm(gap.translation)), 0.0, "mm", answer.why
@@ -279,7 +289,15 @@ def _page(calibration: Calibration, found: Scan, deviations: list[Deviation], sk
     page.heading("Deviations from the truth")
     page.table(
         ("result", "found", "true", "deviation"),
-        [[d.what, f"{d.found:.4f}", f"{d.true:.4f}", f"{d.error:+.4f} {d.unit}"] for d in deviations],
+        [
+            [
+                d.what,
+                rounded(d.found, abs(d.error)),
+                f"{d.true:.6g}",
+                f"{rounded(d.error, abs(d.error), sign=True)} {d.unit}",
+            ]
+            for d in deviations
+        ],
     )
     if skipped:
         page.verdict("warn", skipped)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calibration.digits import two_digits
 from calibration.grouping import grouped, shortened
 from calibration.notation import COLUMNS, NOTATIONS, numbers_of
 from scope.hand_eye.run import HandEyeResult
@@ -21,7 +22,7 @@ def hand_eye_text(result: HandEyeResult) -> str:
         x, y, z = fit.sensor.translation
         lines += [
             f"{SENSOR[fit.mount]}: x {x:.3f} y {y:.3f} z {z:.3f} mm",
-            f"one sigma {sd[3]:.3f} {sd[4]:.3f} {sd[5]:.3f} mm, {' '.join(f'{v:.4f}' for v in np.rad2deg(sd[:3]))} degrees",
+            f"one sigma {' '.join(map(two_digits, sd[3:6]))} mm, {' '.join(map(two_digits, np.rad2deg(sd[:3])))} degrees",
             f"rms of the marks {fit.rms_mm:.3f} mm ({fit.rms_px:.2f} px), each view left out {fit.loo_mm:.3f} mm (median)",
             f"robot {fit.robot.mm:.3f} mm, {np.rad2deg(fit.robot.rad):.3f} degrees ({source})",
             "in the notations of robots (mm):",
@@ -37,7 +38,7 @@ def hand_eye_text(result: HandEyeResult) -> str:
         x, y, z = answer.sensor.translation
         lines += [
             f"{SENSOR[answer.mount]}: x {x:.3f} y {y:.3f} z {z:.3f} mm, by passes over a sphere",
-            f"one sigma {sd[0]:.3f} {sd[1]:.3f} {sd[2]:.3f} mm, {' '.join(f'{v:.4f}' for v in np.rad2deg(sd[3:]))} degrees",
+            f"one sigma {' '.join(map(two_digits, sd[:3]))} mm, {' '.join(map(two_digits, np.rad2deg(sd[3:])))} degrees",
             f"rms of the points {answer.told['rms_mm']:.4f} mm, each pass left out {answer.told['loo_mm']:.4f} mm (median)",
         ]
     if result.dropped:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.digits import rounded, two_digits
 from scope.inspection.measure import Value
 from scope.inspection.run import Inspection
 from scope.pose import CONVENTION
@@ -56,6 +57,7 @@ def inspection_text(found: Inspection) -> str:
             continue
         limit = "" if v.tolerance is None else f", tolerance {v.tolerance:g}: {v.decision}"
         lines.append(
-            f"  {v.name} ({v.kind}): {v.measured:.4f} {v.unit} of {v.nominal:.4f}, off {v.deviation:+.4f}, U {v.uncertainty:.4f} (k = 2){limit}"
+            f"  {v.name} ({v.kind}): {rounded(v.measured, v.uncertainty)} {v.unit} of {v.nominal:g}, "
+            f"off {rounded(v.deviation, v.uncertainty, sign=True)}, U {two_digits(v.uncertainty)} (k = 2){limit}"
         )
     return "\n".join(lines)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.digits import decimals, two_digits
 from calibration.geometry import Array, Pose, quaternion_from_rotation
 from calibration.notation import COLUMNS, NOTATIONS, Notation, numbers_of, roll_pitch_yaw
 from scope.pose.placed import Placed
@@ -163,6 +164,14 @@ def pose_result(placed: Placed) -> dict[str, Any]:
     }
 
 
+def _places(covariance: Array | None) -> tuple[int, int]:
+    """Decimals of mm and of degrees that the errors of a pose allow; three of each where they are not known."""
+    if covariance is None:
+        return 3, 3
+    sd = np.sqrt(np.diag(covariance))
+    return decimals(float(sd[:3].min()), usual=3), decimals(float(np.degrees(sd[3:].min())), usual=3)
+
+
 def pose_text(placed: Placed) -> str:
     """What a person reads on the terminal."""
     result = placed.result
@@ -171,6 +180,7 @@ def pose_text(placed: Placed) -> str:
         other = "" if result.variant is None else "; ".join(f"or {t}" for t in result.variant.alternatives)
         return "\n".join(filter(None, [f"{kind}: {result.why}", other, result.tell_apart]))
     lines = [f"found: {result.why}; rms {result.rmse_mm:.3f} mm over {len(result.points)} points"]
+    mm, deg = _places(result.covariance)
     named = [("cloud", result.cloud_from_model), (f"camera at frame {placed.at}", placed.camera_from_model)]
     for name, pose in [*named, ("robot", placed.robot_from_model)]:
         if pose is not None:
@@ -178,7 +188,7 @@ def pose_text(placed: Placed) -> str:
             x, y, z = told["translation_mm"]
             roll, pitch, yaw = told["rpy_deg"]
             lines.append(
-                f"{name}: x {x:.3f} y {y:.3f} z {z:.3f} mm, roll {roll:.3f} pitch {pitch:.3f} yaw {yaw:.3f} deg"
+                f"{name}: x {x:.{mm}f} y {y:.{mm}f} z {z:.{mm}f} mm, roll {roll:.{deg}f} pitch {pitch:.{deg}f} yaw {yaw:.{deg}f} deg"
             )
     told_of = [(name, pose) for name, pose in [*named, ("robot", placed.robot_from_model)] if pose is not None]
     lines.append(f"the part in the frame of the {told_of[-1][0]}, mm, in the notations of robots:")
@@ -186,7 +196,7 @@ def pose_text(placed: Placed) -> str:
     if result.covariance is not None:
         sd = np.sqrt(np.diag(result.covariance))
         lines.append(
-            f"one sigma: {np.array2string(sd[:3], precision=4)} mm, {np.array2string(np.degrees(sd[3:]), precision=4)} deg"
+            f"one sigma: {' '.join(map(two_digits, sd[:3]))} mm, {' '.join(map(two_digits, np.degrees(sd[3:])))} deg"
         )
     if result.axis is not None:
         lines.append("the part may be turned freely about its axis of revolution")

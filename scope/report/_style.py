@@ -22,6 +22,7 @@ nav{font-size:.92rem;margin:0 0 1rem}nav ol{list-style:none;margin:0;padding:0;d
 table{border-collapse:collapse;font-variant-numeric:tabular-nums}
 th,td{padding:.25rem .7rem;border-bottom:1px solid var(--row);text-align:right;vertical-align:top}
 th{background:var(--head);font-weight:600}td:first-child,th:first-child,td.text,th.text{text-align:left}
+tr.off td{background:var(--bad)}tr.off td:first-child{box-shadow:inset 5px 0 #c0342c;font-weight:600}tr.off td:first-child::before{content:"\\25B6\\00A0"}
 td.text{min-width:6rem;max-width:34rem;overflow-wrap:break-word}td:not(.text){white-space:nowrap}
 .figures{display:flex;flex-wrap:wrap;gap:.9rem 1.1rem;margin:.7rem 0}
 figure{margin:0;max-width:100%}figure img{max-width:100%;height:auto;border:1px solid var(--line);display:block}

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from calibration.digits import rounded, two_digits
 from calibration.grouping import grouped
 from calibration.rays import TwoPlaneFit, normal_equations, ray_uncertainty
+from calibration.reason import see
 from calibration.rig import sha256_of
 from calibration.verification import block_image
 from scope.calibrating import Calibration, MeasuredPlane
@@ -28,7 +30,7 @@ def number(value: Any, digits: int = 3) -> str:
 def calibration_text(found: Calibration) -> str:
     """What a person reads on the terminal."""
     result = found.result
-    lines = [f"{'passed' if result['passed'] else 'NOT PASSED'}: {result['why']}"]
+    lines = [f"{'passed' if result['passed'] else 'NOT PASSED'}: {result['why']}", *_see_lines(result)]
     lines += _columns(_PLANE_HEADERS, _plane_rows(result["planes"]))
     lines += [f"camera: {text}" for text in camera_lines(result)]
     for name, laser in result["lasers"].items():
@@ -124,7 +126,7 @@ def check_text(result: dict[str, Any]) -> str:
 
 def verification_text(result: dict[str, Any]) -> str:
     """Verification of a rig, for the terminal."""
-    lines = [f"{'passed' if result['passed'] else 'NOT PASSED'}: {result['why']}"]
+    lines = [f"{'passed' if result['passed'] else 'NOT PASSED'}: {result['why']}", *_see_lines(result)]
     rows = [[p["name"], number(p["rms_px"]), number(p["rms_mm"])] for p in result["planes"]]
     return "\n".join(lines + (_columns(("plane", "rms px", "rms mm"), rows) if rows else []))
 
@@ -144,8 +146,42 @@ def verification_page(result: dict[str, Any]) -> str:
         ]
         for p in result["planes"]
     ]
-    page.table(("plane", "rms, px", "rms, mm", "bias x, y, z, mm"), rows)
+    add_faults(page, result["faults"])
+    page.table(
+        ("plane", "rms, px", "rms, mm", "bias x, y, z, mm"), rows, marked=_at_fault(result["planes"], result["faults"])
+    )
     return page.html()
+
+
+def _see_lines(result: dict[str, Any]) -> list[str]:
+    kinds = [str(fault["kind"]) for fault in result["faults"]]
+    return [f"see {see(*kinds)}"] if kinds else []
+
+
+def _at_fault(planes: list[dict[str, Any]], faults: Iterable[dict[str, Any]]) -> set[int]:
+    """Rows of the planes that a fault names; single marks that were left out name none."""
+    named = {fault["plane"] for fault in faults if fault["kind"] != "mark" or fault.get("mark") is None}
+    return {k for k, plane in enumerate(planes) if plane["name"] in named or "all" in named}
+
+
+def add_faults(page: Page, faults: Iterable[dict[str, Any]]) -> None:
+    """Add what is wrong, with its size, what to do, and where the documentation tells of it; nothing where all is well."""
+    found = list(faults)
+    if not found:
+        return
+    page.heading("Faults")
+    rows = []
+    for fault in found:
+        value, error = (
+            float("nan") if fault[key] is None else float(fault[key]) for key in ("value", "standard_error")
+        )
+        size = "" if not np.isfinite(value) else f"{rounded(value, error, usual=3)} {fault['unit']}"
+        spread = f" ± {two_digits(error)}" if np.isfinite(error) else ""
+        rows.append(
+            [str(fault["plane"]), str(fault["kind"]), f"{size}{spread}", str(fault["remedy"]), see(str(fault["kind"]))]
+        )
+    failing = {k for k, fault in enumerate(found) if fault["kind"] != "mark" or fault.get("mark") is None}
+    page.table(("plane", "kind", "size ± standard error", "what to do", "more"), rows, marked=failing)
 
 
 def calibration_page(found: Calibration) -> str:
@@ -157,8 +193,9 @@ def calibration_page(found: Calibration) -> str:
         page.verdict("bad", f"Not passed: {result['why']}.")
     for text in result["warnings"]:
         page.text(f"Warning: {text}.")
+    add_faults(page, result["faults"])
     page.heading("Figures")
-    page.table(_PLANE_HEADERS, _plane_rows(result["planes"]))
+    page.table(_PLANE_HEADERS, _plane_rows(result["planes"]), marked=_at_fault(result["planes"], result["faults"]))
     page.table(("figure", "here", "good", "if it is not"), _judged(found))
     add_camera(page, found)
     _add_held_out(page, result)

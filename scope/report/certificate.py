@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from calibration.digits import two_digits
 from scope.check import Budget, Certificate
 from scope.report.page import Page
 
@@ -35,6 +36,7 @@ def certificate_page(found: Certificate) -> str:
         page.table(
             ("file", "kind", "good", "figures", "sha256"),
             [[e.name, e.kind, "yes" if e.good else "no", e.told, e.sha256[:12]] for e in found.evidence],
+            marked={k for k, e in enumerate(found.evidence) if not e.good},
         )
     else:
         page.text("None was given: what is above rests on the calibration's own planes alone.")
@@ -47,8 +49,8 @@ def _add_budget(page: Page, budget: Budget) -> None:
     page.heading(f"Uncertainty budget of laser {budget.laser}")
     near, far = budget.stand_off
     page.text(
-        f"Of one point, at stand-offs of {near:.0f} to {far:.0f} mm; {_SOURCE}. Combined standard uncertainty {budget.combined:.4f} mm, expanded "
-        f"(k = 2) {budget.expanded:.4f} mm. Only the stripe's part shrinks where points are averaged."
+        f"Of one point, at stand-offs of {near:.0f} to {far:.0f} mm; {_SOURCE}. Combined standard uncertainty {two_digits(budget.combined)} mm, expanded "
+        f"(k = 2) {two_digits(budget.expanded)} mm. Only the stripe's part shrinks where points are averaged."
     )
     page.table(
         ("source", "type", "standard uncertainty", "sensitivity, mm per unit", "contribution, mm", "share", "from"),
@@ -56,9 +58,9 @@ def _add_budget(page: Page, budget: Budget) -> None:
             [
                 source.name,
                 source.kind,
-                "-" if source.standard is None else f"{source.standard:.4g} {source.unit}",
-                f"{source.sensitivity:.4g}",
-                "-" if source.contribution is None else f"{source.contribution:.4f}",
+                "-" if source.standard is None else f"{source.standard:.2g} {source.unit}",
+                f"{source.sensitivity:.3g}",
+                "-" if source.contribution is None else two_digits(source.contribution),
                 "-" if (share := budget.share(source)) is None else f"{100 * share:.1f} %",
                 source.why,
             ]

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from scope.check import ArtefactCheck, out_of_tolerance
+from calibration.digits import rounded, two_digits
+from scope.check import ArtefactCheck, Size, error_text, out_of_tolerance
 from scope.cloud import ScanCloud
 from scope.report.page import Level, Page
 from scope.report.scan import about_cloud
@@ -37,17 +38,19 @@ def check_page(
     page = Page(f"SCOPE check of a {checks[0].artefact.kind}")
     page.verdict(*_verdict(checks, tolerance))
     if repeatability is not None:
-        page.text(f"Repeatability over {len(checks)} scans: {repeatability:.4f} mm (one sigma of the worst size).")
+        page.text(
+            f"Repeatability over {len(checks)} scans: {two_digits(repeatability)} mm (one sigma of the worst size)."
+        )
     for check, (name, cloud) in zip(checks, scans, strict=True):
         page.heading(name)
-        _add_sizes(page, check)
+        _add_sizes(page, check, tolerance)
         page.table(
             ("error, mm", "form (95 %), mm", "rms, mm", "linearity, %", "points"),
             [[
-                f"{check.error_mm:+.4f}",
-                f"{check.form_mm:.4f}",
-                f"{check.rms_mm:.4f}",
-                f"{check.linearity_percent:.4f}" if np.isfinite(check.linearity_percent) else "-",
+                error_text(check),
+                f"{check.form_mm:.3g}",
+                f"{check.rms_mm:.3g}",
+                two_digits(check.linearity_percent),
                 str(check.points),
             ]],
         )  # fmt: skip
@@ -62,21 +65,26 @@ def check_page(
 
 
 def _verdict(checks: Sequence[ArtefactCheck], tolerance: float | None) -> tuple[Level, str]:
-    worst = max((check.error_mm for check in checks), key=abs)
+    worst = error_text(max(checks, key=lambda check: abs(check.error_mm)))
     if out_of_tolerance(checks):
         return "bad", (
-            f"Out of tolerance: error {worst:+.4f} mm, {tolerance:g} mm allowed. Do not rely on this scanner before it is "
+            f"Out of tolerance: error {worst} mm, {tolerance:g} mm allowed. Do not rely on this scanner before it is "
             "calibrated again."
         )
     if any(check.claimed is False for check in checks):
         return "warn", (
-            f"Error {worst:+.4f} mm: larger than the claimed uncertainty; look for what neither noise nor calibration explains."
+            f"Error {worst} mm: larger than the claimed uncertainty; look for what neither noise nor calibration explains."
         )
     told = "no tolerance was given" if tolerance is None else f"within the tolerance of {tolerance:g} mm"
-    return ("plain" if tolerance is None else "good"), f"Error {worst:+.4f} mm: {told}."
+    return ("plain" if tolerance is None else "good"), f"Error {worst} mm: {told}."
 
 
-def _add_sizes(page: Page, check: ArtefactCheck) -> None:
+def _at_fault(size: Size, tolerance: float | None) -> bool:
+    """Whether a size is out of tolerance or, without one, off by more than it claims."""
+    return abs(size.error) > (size.uncertainty if tolerance is None else tolerance)
+
+
+def _add_sizes(page: Page, check: ArtefactCheck, tolerance: float | None) -> None:
     if check.sizes:
         page.table(
             ("size", "nominal, mm", "measured, mm", "error, mm", "k = 2, mm", "noise", "calibration", "slopes"),
@@ -84,15 +92,16 @@ def _add_sizes(page: Page, check: ArtefactCheck) -> None:
                 [
                     size.name,
                     f"{size.nominal:g}",
-                    f"{size.measured:.4f}",
-                    f"{size.error:+.4f}",
-                    f"{size.uncertainty:.4f}",
-                    f"{size.scatter:.4f}",
-                    f"{size.calibration:.4f}",
-                    f"{size.slope:.4f}",
+                    rounded(size.measured, size.uncertainty),
+                    rounded(size.error, size.uncertainty, sign=True),
+                    two_digits(size.uncertainty),
+                    two_digits(size.scatter),
+                    two_digits(size.calibration),
+                    two_digits(size.slope),
                 ]
                 for size in check.sizes
             ],
+            marked={k for k, size in enumerate(check.sizes) if _at_fault(size, tolerance)},
         )
 
 

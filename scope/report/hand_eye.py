@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calibration.digits import two_digits
 from calibration.geometry import Array
 from calibration.notation import COLUMNS, NOTATIONS, numbers_of
 from scope.hand_eye import HandEyeResult
@@ -34,7 +35,7 @@ def hand_eye_page(result: HandEyeResult) -> str:
                     SENSOR[answer.mount],
                     *(f"{v:.3f}" for v in answer.sensor.translation),
                     _largest(sd[:3]),
-                    f"{np.rad2deg(sd[3:].max()):.4f}",
+                    two_digits(float(np.rad2deg(sd[3:].max()))),
                 ]
             ],
         )
@@ -64,7 +65,7 @@ def _answer(page: Page, result: HandEyeResult) -> None:
         ["", "x mm", "y mm", "z mm", "one sigma, mm", "of it the rig's", "one sigma, degrees"],
         [
             [name, *(f"{v:.3f}" for v in pose.translation), *(_largest(part) for part in (sd[k + 3 : k + 6], by_rig[k + 3 : k + 6])),
-             f"{np.rad2deg(sd[k : k + 3].max()):.4f}"]
+             two_digits(float(np.rad2deg(sd[k : k + 3].max())))]
             for k, name, pose in ((0, SENSOR[fit.mount], fit.sensor), (6, TARGET[fit.mount], fit.target))
         ],
     )  # fmt: skip
@@ -106,4 +107,4 @@ def _views(page: Page, result: HandEyeResult) -> None:
 
 
 def _largest(sigma: Array) -> str:
-    return f"{float(sigma.max()):.3f}"
+    return two_digits(float(sigma.max()))

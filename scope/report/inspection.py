@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calibration.digits import rounded, two_digits
 from scope.inspection import Inspection
 from scope.report.page import Page
 from scope.viewer import Scalar, cloud_scene, mesh_layer
@@ -21,13 +22,14 @@ def inspection_page(found: Inspection) -> str:
         page.table(
             ["feature", "what", "nominal", "measured", "off", "U (k = 2)", "unit", "tolerance", "decision", "points"],
             [
-                [v.name, v.kind, f"{v.nominal:.4f}", f"{v.measured:.4f}", f"{v.deviation:+.4f}", f"{v.uncertainty:.4f}", v.unit,
+                [v.name, v.kind, f"{v.nominal:g}", rounded(v.measured, v.uncertainty), rounded(v.deviation, v.uncertainty, sign=True), two_digits(v.uncertainty), v.unit,
                  "-" if v.tolerance is None else f"{v.tolerance:g}", v.decision or "-", f"{v.points}"]
                 if not v.reason
                 else [v.name, v.kind, "-", "-", "-", "-", v.unit, "-" if v.tolerance is None else f"{v.tolerance:g}",
                       f"not measured: {v.reason}", "-"]
                 for v in values
             ],
+            marked={k for k, v in enumerate(values) if v.decision == "fail"},
         )  # fmt: skip
         page.text(
             "Decision rule: ISO 14253-1. Pass where the value stays within its tolerance by more than its expanded uncertainty U, "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Literal
@@ -60,8 +60,8 @@ class Page:
         """Add a paragraph."""
         self._add(f"<p>{html.escape(text)}</p>")
 
-    def table(self, headers: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-        """Add a table; a column that holds words is set to the left, one of numbers to the right."""
+    def table(self, headers: Sequence[str], rows: Iterable[Sequence[str]], *, marked: Collection[int] = ()) -> None:
+        """Add a table; a column that holds words is set to the left, one of numbers to the right; ``marked`` rows are at fault."""
         rows = [list(row) for row in rows]
         worded = [any(len(row) > k and not _is_number(row[k]) for row in rows) for k in range(len(headers))]
         head = "".join(
@@ -69,8 +69,10 @@ class Page:
             for cell, text in zip(headers, worded, strict=True)
         )
         body = "".join(
-            "<tr>" + "".join(_cell(cell, words=text) for cell, text in zip(row, worded, strict=True)) + "</tr>"
-            for row in rows
+            f"<tr{' class=off' if k in marked else ''}>"
+            + "".join(_cell(cell, words=text) for cell, text in zip(row, worded, strict=True))
+            + "</tr>"
+            for k, row in enumerate(rows)
         )
         self._add(f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>')
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from calibration.digits import rounded, two_digits
 from calibration.geometry import Array
 from scope.heightmap import HeightMap, local_roughness, power_spectrum
 from scope.report.page import Page
@@ -180,9 +181,9 @@ def _table(page: Page, title: str, table: Mapping[str, Parameter], definitions: 
     page.heading(title)
     rows = []
     for name, p in table.items():
-        value = "withheld" if p.value is None else f"{'≥ ' if p.at_least else ''}{p.value:.4g}"
-        spread = "" if p.uncertainty is None else f"± {p.uncertainty:.2g}"
-        raw = "" if p.raw is None else f"{p.raw:.4g}"
+        value = "withheld" if p.value is None else f"{'≥ ' if p.at_least else ''}{_digits(p.value, p.uncertainty)}"
+        spread = "" if p.uncertainty is None else f"± {two_digits(p.uncertainty)}"
+        raw = "" if p.raw is None else _digits(p.raw, p.uncertainty)
         told = p.reason or p.note or definitions[name].meaning
         rows.append((name, value, spread, p.unit, raw, definitions[name].clause, told))
     page.table(
@@ -193,9 +194,14 @@ def _table(page: Page, title: str, table: Mapping[str, Parameter], definitions: 
 def _shown(p: Parameter) -> str:
     if p.value is None:
         return f"withheld: {p.reason}"
-    spread = "" if p.uncertainty is None else f" ± {p.uncertainty:.2g}"
+    spread = "" if p.uncertainty is None else f" ± {two_digits(p.uncertainty)}"
     least = "at least " if p.at_least else ""
-    return f"{least}{p.value:.4g}{spread} {p.unit}".rstrip()
+    return f"{least}{_digits(p.value, p.uncertainty)}{spread} {p.unit}".rstrip()
+
+
+def _digits(value: float, uncertainty: float | None) -> str:
+    """Value to the place of its uncertainty's second digit, to four digits where it has none."""
+    return f"{value:.4g}" if uncertainty is None else rounded(value, uncertainty)
 
 
 def _every(patch: Roughness) -> Iterator[tuple[str, str, Parameter]]:

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from calibration.digits import rounded, two_digits
+from calibration.reason import see
 from calibration.rig import sha256_of
 from ranging.background import Image, choose_channel, to_gray
 from scope.cloud import ScanCloud, lattice_index
@@ -59,10 +61,10 @@ def scan_result(found: Scan) -> dict[str, Any]:
 def scan_text(found: Scan) -> str:
     """What a person reads on the terminal."""
     rejected = ", ".join(f"{count} {reason}" for reason, count in _most_first(found.rejected)) or "none"
-    sigma = f"median sigma {found.sigma_mm:.4f} mm, of the calibration {found.sigma_cal_mm:.4f} mm"
+    sigma = f"median sigma {two_digits(found.sigma_mm)} mm, of the calibration {two_digits(found.sigma_cal_mm)} mm"
     lines = [
         f"{found.points} points from {found.frames} frames in {found.seconds:.1f} s; {sigma}",
-        f"lines without a point: {rejected}",
+        f"lines without a point: {rejected}{f'; see {see(*found.rejected)}' if found.rejected else ''}",
     ]
     if found.empty_frames:
         lines.append(f"frames without any point: {found.empty_frames}")
@@ -81,8 +83,8 @@ def _agreement_text(pair: Agreement) -> str:
     if pair.cells == 0:
         return "no surface was seen by both"
     return (
-        f"apart by {pair.mean_mm:+.4f} mm in the mean, {pair.rms_mm:.4f} mm rms along the normal ({pair.cells} cells; "
-        f"{pair.sigma_mm:.4f} mm expected; {100 * pair.beyond:.1f} % of the cells more than 3 sigma apart)"
+        f"apart by {rounded(pair.mean_mm, pair.sigma_mm, sign=True)} mm in the mean, {two_digits(pair.rms_mm)} mm rms along the normal "
+        f"({pair.cells} cells; {two_digits(pair.sigma_mm)} mm expected; {100 * pair.beyond:.1f} % of the cells more than 3 sigma apart)"
     )
 
 
@@ -104,9 +106,9 @@ def scan_page(found: Scan, capture: str | Path) -> str:
     page.heading("Lines of the images without a point, and why")
     lines = max(1, sum(found.rejected.values()) + found.points + sum(found.filtered.values()))
     page.table(
-        ("reason", "lines", "of all", "what it means"),
+        ("reason", "lines", "of all", "what it means", "more"),
         [
-            [key, str(count), f"{100 * count / lines:.1f} %", _WHY.get(key, "")]
+            [key, str(count), f"{100 * count / lines:.1f} %", _WHY.get(key, ""), see(key)]
             for key, count in _most_first(found.rejected)
         ],
     )
@@ -140,8 +142,8 @@ def add_uncertainty(page: Page, cloud: ScanCloud) -> None:
     page.heading("Uncertainty")
     quantiles = [10, 50, 90, 99]
     page.table(("mm along the ray", *(f"{q} %" for q in quantiles)), [
-        ["sigma: stripe noise, independent from point to point", *(f"{x:.4f}" for x in np.percentile(cloud.sigma, quantiles))],
-        ["sigma_cal: calibration, shared", *(f"{x:.4f}" for x in np.percentile(cloud.sigma_cal, quantiles))],
+        ["sigma: stripe noise, independent from point to point", *(two_digits(x) for x in np.percentile(cloud.sigma, quantiles))],
+        ["sigma_cal: calibration, shared", *(two_digits(x) for x in np.percentile(cloud.sigma_cal, quantiles))],
     ])  # fmt: skip
 
 
@@ -164,7 +166,7 @@ def add_views(page: Page, cloud: ScanCloud) -> None:
         low, high = np.nanpercentile(sigma, [2, 98])
         page.image(
             pictures.heat(sigma, enlarge=max(1, 430 // max(sigma.shape)), low=low, high=high),
-            f"sigma of {name}: one row a frame, one column a line of the image; dark {low:.4f} mm, light {high:.4f} mm, grey: no "
+            f"sigma of {name}: one row a frame, one column a line of the image; dark {two_digits(low)} mm, light {two_digits(high)} mm, grey: no "
             "point",
             width=430,
         )
@@ -185,7 +187,7 @@ def _add_hard_frames(page: Page, found: Scan, capture: Path) -> None:
     for k, name, image in _frames(plan, list(dict.fromkeys(chosen))):
         shown = to_gray(image, choose_channel([image], plan.channel))
         pixels = cloud.pixels[cloud.frame == numbers[k]].astype(np.float64)
-        caption = f"{name}: {count[k]} points, mean sigma {doubt[k]:.4f} mm"
+        caption = f"{name}: {count[k]} points, mean sigma {two_digits(doubt[k])} mm"
         page.image(pictures.with_stripe(shown, pixels), caption, width=430)
 
 

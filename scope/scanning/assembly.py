@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.geometry import quaternion_from_rotation
+from calibration.reason import see
 from calibration.rig import Rig
 from ranging.errors import RangingError
 from scope.cloud import ScanCloud, Sensors, filtered, lattice_normals
@@ -53,6 +54,7 @@ def require_points(setup: ScanSetup, statistics: ScanStatistics, why: str = "") 
     raise RangingError(
         f"{setup.owner}: no point in any of {statistics.frames} frames (lines without a point: {reasons}); "
         f"{_REMEDIES.get(most, 'check that the laser is on, `channel`, exposure and focus')}"
+        f"{f' (see {see(most)})' if most else ''}"
     )
 
 

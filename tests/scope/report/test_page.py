@@ -8,6 +8,7 @@ import re
 import cv2
 import numpy as np
 
+from scope.report.calibration import add_faults
 from scope.report.page import Page
 from scope.version import __version__
 
@@ -60,3 +61,26 @@ def test_headings_of_words_stand_over_words_and_of_numbers_over_numbers() -> Non
     page = Page("t")
     page.table(("plane", "px", "why"), [["a", "1.0", "dirty"], ["b", "-", ""]])
     assert "<th class=text>plane</th><th>px</th><th class=text>why</th>" in page.html()
+
+
+def test_a_row_at_fault_is_marked_and_its_fault_says_what_to_do_and_where_to_read() -> None:
+    page = Page("x")
+    page.table(("plane", "px"), [["a", "1"], ["b", "2"]], marked={1})
+    fault = {
+        "plane": "b",
+        "kind": "slip",
+        "value": 0.51234,
+        "standard_error": 0.02,
+        "unit": "mm",
+        "remedy": "seat it",
+        "mark": None,
+    }
+    add_faults(page, [fault, fault | {"kind": "mark", "mark": 7, "value": None, "standard_error": None}])
+    html = page.html()
+    assert '<tr class=off><td class="text">b</td>' in html
+    assert html.count("class=off") == 2
+    assert "0.512 mm ± 0.020" in html
+    assert "docs/troubleshooting.md#slip" in html
+    before = page.html()
+    add_faults(page, [])
+    assert page.html() == before
