@@ -8,14 +8,17 @@ Read: camera, drivers, source; the drivers replay, simulated, v4l2, aravis, basl
 
 from scope.cameras.camera import Camera, CameraInfo, Shot
 from scope.cameras.drivers import list_cameras, open_camera
+from scope.cameras.replay import ReplayCamera
 from scope.cameras.simulated import SimulatedCamera, View
-from scope.cameras.source import CameraSource, Grabber, open_source
+from scope.cameras.source import CameraSource, Grabber, Placed, open_source
 
 __all__ = [
     "Camera",
     "CameraInfo",
     "CameraSource",
     "Grabber",
+    "Placed",
+    "ReplayCamera",
     "Shot",
     "SimulatedCamera",
     "View",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 
 from calibration.errors import FileError
@@ -81,6 +82,12 @@ class ReplayCamera:
         if self._asked.rate is not None:
             time.sleep(max(0.0, self._began + at - time.monotonic()))
         return Shot(image, number, at, name)
+
+    def skip(self, count: int) -> None:
+        """Go on behind the next ``count`` frames."""
+        passed = sum(1 for _ in islice(self._coming, count))
+        self._number += passed
+        self._began -= passed / (self._asked.rate or 25.0)
 
     def set(self, name: str, value: float) -> None:
         """Nothing can be set on what was recorded."""

@@ -107,6 +107,11 @@ class SimulatedCamera:
             time.sleep(max(0.0, self._began + at - time.monotonic()))
         return Shot(image, k, at)
 
+    def skip(self, count: int) -> None:
+        """Go on behind the next ``count`` frames."""
+        self._number += count
+        self._began -= count / (self._asked.rate or 25.0)
+
     def position(self, k: int) -> int:
         """Frame of the design's motion that the k-th frame shows: back and forth."""
         turn = k % max(1, 2 * (self.frames - 1))

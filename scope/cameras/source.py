@@ -14,7 +14,8 @@ import numpy as np
 from calibration.errors import ScopeError
 from scope.cameras.camera import Camera, Shot
 from scope.cameras.drivers import open_camera
-from scope.session import HELD, Capture, Follower, Frame, Source, shape_text
+from scope.errors import CameraError
+from scope.session import HELD, Capture, Clock, Follower, Frame, Source, shape_text
 from scope.session import open_source as open_files
 
 _SLOW = 1.25  # times the interval asked for, at which a camera counts as too slow
@@ -24,18 +25,19 @@ _LOOKED = 32  # frames over which that is judged
 class Grabber:
     """Reads a camera in a thread of its own into a queue of bounded size, so that ranging never holds it up.
 
-    Frames that find the queue full are lost, and counted; a camera that waits is read when a frame is wanted.
+    Frames that find the queue full are lost, and counted; a camera that waits is read when a frame is wanted. ``keep`` is called with
+    each frame as soon as it has come, before anybody has it.
     """
 
-    def __init__(self, camera: Camera) -> None:
-        self.camera = camera
+    def __init__(self, camera: Camera, keep: Callable[[Grabber, Shot], None] | None = None) -> None:
+        self.camera, self._keep = camera, keep
         self.lost = 0
-        self.began = 0.0  # Unix time at which the first frame came
+        self._began: tuple[float, float] | None = None  # Unix time at which the first frame came, and its own
         self._queue: deque[Shot] = deque()
         self._bytes = 0
         self._ready = threading.Condition()
         self._end: ScopeError | None = None
-        self._stopped = False
+        self._stopped = self._done = False
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
@@ -48,9 +50,9 @@ class Grabber:
     def next(self) -> Shot | None:
         """Next frame, waited for; None at the end. Raises what the camera raised, after the frames before it."""
         if self._thread is None:
-            return self._read()
+            return None if self._stopped else self._read()
         with self._ready:
-            self._ready.wait_for(lambda: self._queue or self._stopped)
+            self._ready.wait_for(lambda: self._queue or self._done)
             if self._queue:
                 shot = self._queue.popleft()
                 self._bytes -= shot.image.nbytes
@@ -59,18 +61,33 @@ class Grabber:
                 raise self._end
             return None
 
+    def moment(self, shot: Shot, clock: Clock) -> float | None:
+        """When a frame was taken by the clock that a log has, s; None where the camera has no such clock."""
+        if clock == "camera":
+            return shot.stamp
+        if clock == "first-frame" or self._began is None:
+            return shot.at
+        return self._began[0] + shot.at - self._began[1]
+
+    def end(self) -> None:
+        """Take no more frames; those that came are still given."""
+        self._stopped = True
+
     def stop(self) -> None:
         """End the thread and close the camera."""
-        with self._ready:
-            self._stopped = True
+        self.end()
         if self._thread is not None:
             self._thread.join()
         self.camera.close()
 
     def _read(self) -> Shot | None:
         shot = self.camera.read()
-        if shot is not None and not self.began:
-            self.began = time.time()
+        if shot is None:
+            return None
+        if self._began is None:
+            self._began = (time.time(), shot.at)
+        if self._keep is not None:
+            self._keep(self, shot)
         return shot
 
     def _run(self) -> None:
@@ -79,6 +96,11 @@ class Grabber:
                 shot, end = self._read(), None
             except ScopeError as error:
                 shot, end = None, error
+            except Exception as error:  # noqa: BLE001  (a driver may throw anything; whoever waits for frames must be told)
+                shot, end = (
+                    None,
+                    CameraError(f"camera {self.camera.info.driver}: {type(error).__name__}: {error}"[:200]),
+                )
             with self._ready:
                 if shot is None:
                     self._end, self._stopped = end, True
@@ -88,6 +110,9 @@ class Grabber:
                     self._queue.append(shot)
                     self._bytes += shot.image.nbytes
                 self._ready.notify_all()
+        with self._ready:
+            self._done = True
+            self._ready.notify_all()
 
 
 @dataclass(slots=True, eq=False)
@@ -101,7 +126,6 @@ class CameraSource:
     trouble: str = ""
     _ahead: deque[Frame] = field(default_factory=deque)
     _like: Shot | None = None
-    _first_at: float = 0.0  # s, of the first frame
     _times: deque[float] = field(default_factory=lambda: deque(maxlen=_LOOKED))
     _read: int = 0
     _ended: bool = False
@@ -163,14 +187,10 @@ class CameraSource:
             return None
         number = shot.number // 2 if self.capture.background_mode == "alternate" else shot.number
         self._read += 1
-        return Frame(number, shot.name or f"frame {number}", shot.image, shot.background, self._moment(shot))
-
-    def _moment(self, shot: Shot) -> float | None:
-        """Time of a frame by the clock that the log of positions has, s; None where the camera has no such clock."""
         clock = "first-frame" if self.capture.follow is None else self.capture.follow.clock
-        if clock == "camera":
-            return shot.stamp
-        return shot.at if clock == "first-frame" else self.grabber.began + shot.at - self._first_at
+        return Frame(
+            number, shot.name or f"frame {number}", shot.image, shot.background, self.grabber.moment(shot, clock)
+        )
 
     def _taken(self) -> tuple[Shot | None, str]:
         """Next frame or pair, and why there is none where the camera says so."""
@@ -193,7 +213,7 @@ class CameraSource:
     def _unlike(self, shot: Shot) -> str:
         """What is wrong where a frame is unlike the first; empty where nothing is."""
         if self._like is None:
-            self._like, self._first_at = shot, shot.at
+            self._like = shot
         for image in (shot.image, shot.background):
             if image is not None and (image.shape != self._like.image.shape or image.dtype != self._like.image.dtype):
                 return (

@@ -49,6 +49,10 @@ class MotionAsked(_Asked):
     axis_direction: list[Number] | None = None
     step: Number | None = None
     start: Number = 0.0
+    positions: str | None = Field(default=None, max_length=100, description="CSV in the session folder, a row a frame")
+    log: str | None = Field(default=None, max_length=100, description="CSV in the session folder, positions over time")
+    delay: Number | None = None
+    clock: Literal["first-frame", "camera", "system"] = "first-frame"
 
 
 class ScanAsked(_Asked):
@@ -57,6 +61,8 @@ class ScanAsked(_Asked):
     job: str = _JOB
     motion: MotionAsked | None = Field(default=None, description="without it, that of the page Scan")
     frames: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    lasers: list[str] | None = Field(default=None, max_length=8, description="those that shine; all where left out")
+    sequence: Literal["together", "cycle"] | None = None
 
 
 class PoseAsked(_Asked):
@@ -80,7 +86,8 @@ def add_api(app: FastAPI, console: Console) -> None:
     def scan(asked: ScanAsked) -> dict[str, Any]:
         """Start a scan; ask for its end at /job/{job}."""
         motion = None if asked.motion is None else asked.motion.model_dump(exclude_none=True)
-        return told(console.start_scan({"motion": motion, "frames": asked.frames}, asked.job).content)
+        wanted = {"motion": motion, "frames": asked.frames, "lasers": asked.lasers, "sequence": asked.sequence}
+        return told(console.start_scan(wanted, asked.job).content)
 
     @api.post("/stop", status_code=202)
     def stop() -> dict[str, Any]:

@@ -19,12 +19,12 @@ from scope.console.folder import SessionFolder, stamp
 from scope.console.jobs import Job, Jobs
 from scope.console.look import Look, Subject, look_at, picture
 from scope.console.pictures import jpeg_of
-from scope.console.recording import Growth, motion_of, record
+from scope.console.recording import Growth, finish, motion_of, record
 from scope.console.station import Station
 from scope.console.steps import Steps
 from scope.history import Journal, Record, calibration_figures, check_figures, journal_beside, scan_figures
 from scope.scanning import Scanner
-from scope.session import CameraSettings
+from scope.session import CameraSettings, planned_limits, read_capture, read_target
 from scope.version import __version__
 from scope.viewer import cloud_scene, viewer_page
 
@@ -45,8 +45,10 @@ class Console:
     subject: Subject = "stripe"
     overlay: bool = True
     look: Look | None = None
+    laser: str = ""  # the one that the live profile is read of; empty: the first
     _jpeg: tuple[int, bytes] = (0, b"")
-    _scanner: tuple[float, Scanner | None] = (0.0, None)
+    _scanner: tuple[tuple[float, str], Scanner | None] = ((0.0, ""), None)
+    _expected: tuple[float, int | None] = (0.0, None)
     _eye: threading.Lock = field(default_factory=threading.Lock)
     _looked: float = 0.0
 
@@ -68,11 +70,12 @@ class Console:
             when = self.folder.rig.stat().st_mtime
         except OSError:
             return None
-        if self._scanner[0] != when:
-            try:
-                self._scanner = (when, Scanner(self.folder.rig))
-            except ScopeError:
-                self._scanner = (when, None)
+        if self._scanner[0] != (when, self.laser):
+            made: Scanner | None = None
+            with suppress(ScopeError):
+                rig = Rig.load(self.folder.rig)
+                made = Scanner(rig, laser=self.laser if self.laser in rig.lasers else next(iter(rig.lasers), None))
+            self._scanner = ((when, self.laser), made)
         return self._scanner[1]
 
     def frame(self, after: int, timeout: float = 2.0) -> tuple[int, bytes]:
@@ -94,6 +97,16 @@ class Console:
         self.subject, self.look = subject, None
         if self.station.simulated:
             self.station.show(View(plane, laser=subject == "stripe", moving=False))
+
+    def expected_marks(self) -> int | None:
+        """Marks of the target; None where the file lists them by plane, or cannot be read."""
+        try:
+            when = self.folder.calibration.stat().st_mtime
+            if self._expected[0] != when:
+                self._expected = (when, len(read_target(self.folder.calibration).marks))
+        except (OSError, ScopeError):
+            return None
+        return self._expected[1]
 
     def status(self) -> dict[str, Any]:
         """What GET /api/v1/status answers."""
@@ -119,15 +132,57 @@ class Console:
         name = str(known.asked["name"]) if known is not None and "name" in known.asked else identity or stamp()
         if self.jobs.running is None:
             self.show("stripe")
-        wanted = {"motion": motion, "frames": frames, "name": name}
+        wanted = {"motion": motion, "frames": frames, "name": name, **self._lit(asked)}
+        return self.jobs.start(
+            "scan",
+            wanted,
+            self._noted(lambda job: record(self.folder, self.station, self.growth, wanted, job)),
+            identity,
+        )
 
-        def work(job: Job) -> dict[str, Any]:
-            found = record(self.folder, self.station, self.growth, wanted, job)
+    def _lit(self, asked: dict[str, Any]) -> dict[str, Any]:
+        """Lasers of a scan and how they take turns, as [lasers] and [sequence] of a capture; ``ValueError`` for others."""
+        rig, lasers, sequence = self.rig(), asked.get("lasers"), asked.get("sequence")
+        told: dict[str, Any] = {}
+        if lasers:
+            names = () if rig is None else tuple(rig.lasers)
+            if not isinstance(lasers, list) or not all(name in names for name in lasers):
+                raise ValueError(f"lasers must be of the rig: {', '.join(names) or 'it has none'}")
+            told["lasers"] = lasers
+        if sequence is not None:
+            if sequence not in ("together", "cycle"):
+                raise ValueError("sequence must be together or cycle")
+            told["sequence"] = sequence
+        return told
+
+    def resume_scan(self, name: str, *, camera: bool) -> Job:
+        """Range the frames of a scan that broke off, and with ``camera`` let it go on behind them."""
+        if name not in self.folder.unfinished():
+            raise FileError("there is no unfinished scan of this name")
+        asked = {"name": name, "resume": True}
+        if camera:
+            return self.jobs.start(
+                "scan", asked, self._noted(lambda job: record(self.folder, self.station, self.growth, asked, job))
+            )
+        return self.jobs.start("scan", asked, self._noted(lambda job: finish(self.folder, self.growth, name, job)))
+
+    def can_go_on(self, name: str) -> bool:
+        """Whether the camera can go on behind a scan that broke off: where only steps say how things moved."""
+        try:
+            return read_capture(self.folder.scan(name) / ".live.toml").follow is None
+        except ScopeError:
+            return False
+
+    def _noted(self, work: Callable[[Job], dict[str, Any]]) -> Callable[[Job], dict[str, Any]]:
+        """A scan whose result is recorded in the history."""
+
+        def noted(job: Job) -> dict[str, Any]:
+            found = work(job)
             good = bool(found["complete"] and found["verified"] and not found["troubles"])
-            self.note(Record("scan", good, scan_figures(found), file=name))
+            self.note(Record("scan", good, scan_figures(found), file=str(found["scan"])))
             return found
 
-        return self.jobs.start("scan", wanted, work, identity)
+        return noted
 
     def start_calibration(self, identity: str = "") -> Job:
         """Calibrate with what was taken."""
@@ -196,7 +251,7 @@ class Console:
             except ValueError as error:  # what was typed, in words
                 raise FileError(str(error)) from error
             if kind == "check":
-                self.note(Record("check", found["good"], check_figures(found["check"]), file=cloud.parent.name))
+                self.note(Record("check", found["good"], _with_tolerance(found), file=cloud.parent.name))
             return {**found, "scan": cloud.parent.name, "asked": job.asked}
 
         return self.jobs.start(kind, {**asked, "scan": cloud.parent.name}, measured, identity)
@@ -208,6 +263,13 @@ class Console:
         rig = self.rig()
         with suppress(FileError):  # a full disk must not spoil the result
             self.journal.add(replace(record, rig="" if rig is None else rig.sha256, camera=self.station.settings.name))
+
+    def limits(self) -> dict[str, float]:
+        """Limits of the session's [accept]; none where there is no file that can be read."""
+        try:
+            return planned_limits(self.folder.calibration)
+        except ScopeError:
+            return {}
 
     def history(self) -> list[Record]:
         """Records of the session, the newest first."""
@@ -230,3 +292,9 @@ class Console:
         self.stop()
         self.jobs.wait(20.0)
         self.station.close()
+
+
+def _with_tolerance(found: dict[str, Any]) -> dict[str, float]:
+    """Figures of a check, with the tolerance that it was held against."""
+    tolerance = found.get("tolerance_mm")
+    return {**check_figures(found["check"]), **({} if tolerance is None else {"tolerance_mm": float(tolerance)})}

@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import re
 import time
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 
-from calibration.atomic import write_text, written_whole
+from calibration.atomic import beside, write_text
 from calibration.errors import FileError
 from ranging.background import Image
 
-_PART = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}")
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}")
 MODELS = (".stl", ".obj", ".ply", ".glb", ".3mf", ".step", ".stp")
 
 
@@ -52,7 +54,7 @@ class SessionFolder:
     def inside(self, *parts: str) -> Path:
         """Path of a file within the folder; ``FileError`` for a name that would lead out of it, or is none."""
         names = [part for piece in parts for part in piece.split("/")]
-        if not names or not all(_PART.fullmatch(name) and not name.endswith(".") for name in names):
+        if not names or not all(NAME.fullmatch(name) and not name.endswith(".") for name in names):
             raise FileError("this name is not allowed; use letters, digits, dots, dashes and underscores")
         path = self.root.joinpath(*names)
         if not path.resolve().is_relative_to(self.root):
@@ -65,14 +67,22 @@ class SessionFolder:
         found = (
             [p.name for p in place.iterdir() if p.suffix.lower() in MODELS and p.is_file()] if place.is_dir() else []
         )
-        return sorted(name for name in found if _PART.fullmatch(name))
+        return sorted(name for name in found if NAME.fullmatch(name))
 
     def clouds(self) -> list[str]:
         """Scans that have a cloud, the newest first."""
         if not self.scans.is_dir():
             return []
-        found = [p for p in self.scans.iterdir() if (p / "cloud.ply").is_file() and _PART.fullmatch(p.name)]
+        found = [p for p in self.scans.iterdir() if (p / "cloud.ply").is_file() and NAME.fullmatch(p.name)]
         return [p.name for p in sorted(found, key=lambda p: (p / "cloud.ply").stat().st_mtime, reverse=True)]
+
+    def unfinished(self) -> list[str]:
+        """Scans that have frames and no cloud, since they broke off; the newest first."""
+        if not self.scans.is_dir():
+            return []
+        found = [p for p in self.scans.iterdir() if NAME.fullmatch(p.name) and not (p / "cloud.ply").is_file()]
+        found = [p for p in found if (p / "capture.toml").is_file() and frame_numbers(p)]
+        return [p.name for p in sorted(found, key=lambda p: p.stat().st_mtime, reverse=True)]
 
     def scan(self, name: str) -> Path:
         """Folder of one scan."""
@@ -92,17 +102,29 @@ class SessionFolder:
         return folder
 
 
+def frame_numbers(scan: Path) -> list[int]:
+    """Numbers of the frames that a scan's folder holds."""
+    return sorted(int(path.stem) for path in (scan / "frames").glob("*.png") if path.stem.isdigit())
+
+
 def save_image(path: Path, image: Image) -> None:
     """Write a PNG whole, in a folder that is made where it is not there; ``FileError`` where it cannot be."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"{path.parent}: cannot be made ({error.strerror}); free space") from error
-    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    if not done:
-        raise FileError(f"{path}: the image cannot be encoded")
-    with written_whole(path) as stream:
-        stream.write(data.tobytes())
+    save_images([(path, image)])
+
+
+def save_images(images: Sequence[tuple[Path, Image]]) -> None:
+    """Write several PNG, which appear when all of them are on the disk; ``FileError``, and nothing new, where one cannot be."""
+    with ExitStack() as stack:
+        for path, image in images:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise FileError(f"{path.parent}: cannot be made ({error.strerror}); free space") from error
+            done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            if not done:
+                raise FileError(f"{path}: the image cannot be encoded")
+            part = stack.enter_context(beside(path))
+            part.write_bytes(data.tobytes())
 
 
 def write_toml(path: Path, content: dict[str, Any], comment: str) -> None:

@@ -123,6 +123,7 @@ def check(cloud: Path, artefact: str, tolerance: float | None, region: str | Non
         "head": ("size", "measured, mm", "error, k = 2, mm"),
         "rows": rows,
         "check": content,
+        "tolerance_mm": tolerance,
     }
 
 

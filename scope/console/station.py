@@ -7,10 +7,11 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from calibration.errors import ScopeError
-from scope.cameras import Camera, Grabber, Shot, SimulatedCamera, View, open_camera
+from scope.cameras import Camera, Grabber, ReplayCamera, Shot, SimulatedCamera, View, open_camera
 from scope.errors import CameraError
 from scope.session import ON_FILES, CameraSettings
 
@@ -131,8 +132,12 @@ class Station:
         return answer[0]
 
     @contextmanager
-    def lent(self) -> Iterator[Grabber]:
-        """Lend the camera to a scan, as a started `Grabber`; the pages see its frames meanwhile."""
+    def lent(self, keep: Callable[[Grabber, Shot], None] | None = None, *, first: int = 0) -> Iterator[Grabber]:
+        """Lend the camera to a scan, as a started `Grabber`; the pages see its frames meanwhile.
+
+        ``keep`` is called with each frame as soon as it has come, in the thread that reads the camera; frames are numbered from
+        ``first``, from where on cameras on files go on.
+        """
 
         def let_go(_: Camera) -> None:
             self._lent = True
@@ -146,11 +151,11 @@ class Station:
                 other = open_camera(self.settings)
                 if isinstance(other, SimulatedCamera) and isinstance(camera, SimulatedCamera):
                     other.exposure = camera.exposure
-                grabber = Grabber(_Watched(other, self._show))
+                grabber = Grabber(_Watched(other, self._show, first), keep)
             else:
                 if camera.switches_laser:
                     camera.switch_laser(True)
-                grabber = Grabber(_Watched(camera, self._show, close=False))
+                grabber = Grabber(_Watched(camera, self._show, first, close=False), keep)
             grabber.start()
             try:
                 yield grabber
@@ -230,17 +235,27 @@ class Station:
 class _Watched:
     """A camera whose frames are shown while somebody else reads them."""
 
-    def __init__(self, camera: Camera, show: Callable[[Shot], None], *, close: bool = True) -> None:
-        self._camera, self._show, self._close = camera, show, close
+    def __init__(self, camera: Camera, show: Callable[[Shot], None], first: int, *, close: bool = True) -> None:
+        self._camera, self._show, self._first, self._close = camera, show, first, close
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._camera, name)
 
+    def start(self) -> None:
+        """Start, behind the frames that are there already."""
+        self._camera.start()
+        if isinstance(self._camera, ReplayCamera | SimulatedCamera):
+            self._camera.skip(self._first)
+            self._first = 0  # it counts on by itself
+
     def read(self) -> Shot | None:
         """Next frame, shown."""
         shot = self._camera.read()
-        if shot is not None:
-            self._show(shot)
+        if shot is None:
+            return None
+        if self._first:
+            shot = replace(shot, number=shot.number + self._first)
+        self._show(shot)
         return shot
 
     def close(self) -> None:

@@ -10,12 +10,12 @@ from typing import Any, Literal
 
 from calibration.atomic import write_text
 from calibration.errors import FileError, ScopeError
-from scope.console.folder import SessionFolder, save_image, write_toml
+from scope.console.folder import SessionFolder, save_images, write_toml
 from scope.console.jobs import Job
 from scope.console.station import Station
-from scope.session import planned_planes
+from scope.session import PlannedPlane, planned_planes
 
-KINDS = ("images", "laser", "background")
+TARGET, LASER, DARK = "target", "laser", "dark"  # what is taken at a stand-off; "laser NAME" where there are several
 Light = Literal["good", "poor", "taken", "empty", "skipped"]
 
 
@@ -24,12 +24,19 @@ class Step:
     """One stand-off."""
 
     name: str
-    images: tuple[str, ...]  # patterns of the target's images, relative to the file
-    laser: tuple[str, ...]  # of the laser's; empty where the file asks for none, or for several lasers
-    background: tuple[str, ...]
+    shots: dict[str, tuple[str, ...]]  # what is taken there: patterns of its images, relative to the file
     light: Light = "empty"
     told: str = "to take"
-    files: dict[str, int] = field(default_factory=dict)  # kind: number of images there
+    checks: dict[str, bool] = field(default_factory=dict)  # what `--check` says, by word
+    files: dict[str, int] = field(default_factory=dict)  # number of images there, by kind
+
+    @classmethod
+    def of(cls, plane: PlannedPlane) -> Step:
+        """Step of a plane in the file."""
+        shots = {TARGET: plane.images}
+        shots |= {f"{LASER} {name}".rstrip(): patterns for name, patterns in plane.laser.items()}
+        shots |= {f"{DARK} {name}".rstrip(): patterns for name, patterns in plane.background.items()}
+        return cls(plane.name, shots)
 
 
 class Steps:
@@ -37,7 +44,7 @@ class Steps:
 
     def __init__(self, folder: SessionFolder, *, repeats: int = 3) -> None:
         self.folder, self.repeats = folder, repeats
-        self._judged: dict[str, tuple[tuple[float, ...], Light, str]] = {}
+        self._judged: dict[str, tuple[tuple[float, ...], Light, str, dict[str, bool]]] = {}
 
     @property
     def _skips(self) -> Path:
@@ -62,8 +69,8 @@ class Steps:
         skipped = self.skipped()
         steps = []
         for plane in planned_planes(self.folder.calibration):
-            step = Step(plane.name, plane.images, plane.laser, plane.background)
-            step.files = {kind: len(self._there(getattr(step, kind))) for kind in KINDS}
+            step = Step.of(plane)
+            step.files = {kind: len(self._there(patterns)) for kind, patterns in step.shots.items()}
             self._judge(step, skipped)
             steps.append(step)
         return steps
@@ -71,28 +78,32 @@ class Steps:
     def take(self, station: Station, name: str, kind: str = "") -> str:
         """Take the images of one stand-off and write them as the file asks for them; what was there before is replaced.
 
-        Where the camera switches the laser, target and laser are taken in turn; else ``kind`` says which: "images", "laser"
-        or "background".
+        ``kind`` is one of the step's shots; without it, all are taken in turn where the camera switches the (only) laser, else
+        the target's. New images stand in the place of the old ones only when all of them are on the disk.
         """
         step = self._step(name)
-        kinds = [kind] if kind else [k for k in KINDS if getattr(step, k)]
-        if not kind and not station.switches_laser:
-            kinds = ["images"]
+        kinds = [kind] if kind else self.in_turn(station, step) or [TARGET]
         taken = []
         for each in kinds:
-            if each not in KINDS or not getattr(step, each):
-                raise FileError(f"{name}: calibration.toml asks for no {each} there")
-            paths = self._places(getattr(step, each))
-            shots = station.take(len(paths), laser=each == "laser", plane="" if each == "background" else name)
-            old = set(self._there(getattr(step, each)))
-            for path, shot in zip(paths, shots, strict=True):
-                save_image(path, shot.image)
+            if each not in step.shots:
+                raise FileError(f"{name}: calibration.toml asks for no {each[:60]} there")
+            paths = self._places(step.shots[each])
+            lit = each.startswith(LASER)
+            shots = station.take(len(paths), laser=lit, plane="" if each.startswith(DARK) else name)
+            old = set(self._there(step.shots[each]))
+            save_images([(path, shot.image) for path, shot in zip(paths, shots, strict=True)])
             for path in old - set(paths):
                 path.unlink(missing_ok=True)
-            taken.append(f"{len(paths)} {each}")
+            taken.append(f"{len(paths)} of the {each}")
         if name in self.skipped():
             self.skip(name, out=False)
         return f"{name}: took {', '.join(taken)}"
+
+    @staticmethod
+    def in_turn(station: Station, step: Step) -> list[str]:
+        """What one click takes: all, where the camera switches the only laser or none is asked for; else nothing."""
+        lasers = [kind for kind in step.shots if kind.startswith(LASER)]
+        return list(step.shots) if not lasers or (station.switches_laser and len(lasers) == 1) else []
 
     def calibrate(self, job: Job) -> dict[str, Any]:
         """Calibrate with all stand-offs that are not skipped, and write rig, page and the file that was used."""
@@ -120,7 +131,7 @@ class Steps:
     def _step(self, name: str) -> Step:
         for plane in planned_planes(self.folder.calibration):
             if plane.name == name:
-                return Step(plane.name, plane.images, plane.laser, plane.background)
+                return Step.of(plane)
         raise FileError("calibration.toml has no such stand-off")
 
     def _judge(self, step: Step, skipped: set[str]) -> None:
@@ -130,7 +141,7 @@ class Steps:
         if step.name in skipped:
             step.light, step.told = "skipped", "left out of the calibration"
             return
-        there = self._there(step.images)
+        there = self._there(step.shots[TARGET])
         if not there:
             return
         when = tuple(path.stat().st_mtime for path in there)
@@ -138,15 +149,17 @@ class Steps:
             try:
                 result = check_plane(self.folder.calibration, step.name)
             except ScopeError as error:
-                self._judged[step.name] = (when, "poor", " ".join(str(error).split())[:300])
+                self._judged[step.name] = (when, "poor", " ".join(str(error).split())[:300], {})
             else:
                 good = f"{result['used']} of {result['expected']} marks"
                 if result.get("repeat_px") is not None:
                     good += f", repeats move {result['repeat_px']:.3f} px"
-                self._judged[step.name] = (when, "poor" if result["remedy"] else "good", result["remedy"] or good)
-        _, step.light, step.told = self._judged[step.name]
-        if step.laser and not step.files["laser"] and step.light == "good":
-            step.light, step.told = "taken", f"{step.told}; the laser's image is still to take"
+                light: Light = "poor" if result["remedy"] else "good"
+                self._judged[step.name] = (when, light, result["remedy"] or good, _checks(result))
+        _, step.light, step.told, step.checks = self._judged[step.name]
+        missing = [kind for kind in step.shots if not step.files[kind]]
+        if missing and step.light == "good":
+            step.light, step.told = "taken", f"{step.told}; still to take: {', '.join(missing)}"
 
     def _there(self, patterns: tuple[str, ...]) -> list[Path]:
         """Images of some patterns within the session folder."""
@@ -176,3 +189,16 @@ class Steps:
             raise FileError(
                 f"calibration.toml: {pattern[:80]}: leads out of the session folder by a link; use a folder inside it"
             )
+
+
+def _checks(result: dict[str, Any]) -> dict[str, bool]:
+    """What the command's judgement is made of, each good or not; what it could not judge is left out."""
+    found, expected, share = result["used"], result["expected"], result.get("saturated")
+    checks = {f"{found} of {expected} found": bool(expected and found >= 0.95 * expected)}
+    if share is not None:
+        clipped = "are clipped" in result["remedy"]  # by the command's own limit
+        checks[f"{100 * share:.0f} % clipped" if share else "not clipped"] = not clipped
+    for key, bad, good in (("blurred", "blurred", "sharp"), ("moved", "moved", "still")):
+        if result.get(key) is not None:
+            checks[bad if result[key] else good] = not result[key]
+    return checks

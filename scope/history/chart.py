@@ -31,7 +31,7 @@ class Chart:
     recalibrate_by: str  # ISO date at which the trend meets the limit; empty where it does not
 
 
-def chart_of(name: str, records: Sequence[Record], *, limit: float | None = None) -> Chart:
+def chart_of(name: str, records: Sequence[Record], *, limit: float | None = None, shift: bool = False) -> Chart:
     """Chart of single values of one figure.
 
     Parameters
@@ -42,6 +42,8 @@ def chart_of(name: str, records: Sequence[Record], *, limit: float | None = None
         The oldest first.
     limit : float, optional
         What the figure may reach, as [accept] says; the trend's meeting with it is "recalibrate by".
+    shift : bool
+        Values are told as differences from the first of them, and the limit holds on both sides: how far a sheet has moved.
 
     Returns
     -------
@@ -51,17 +53,19 @@ def chart_of(name: str, records: Sequence[Record], *, limit: float | None = None
     """
     known = [(r.when, r.figures[name]) for r in records if name in r.figures and _day(r.when) is not None]
     when, values = tuple(w for w, _ in known), np.array([v for _, v in known])
+    if shift and len(values):
+        values = values - values[0]
     nothing = float("nan")
     if len(values) < _LEAST:
         return Chart(name, when, tuple(values.tolist()), nothing, nothing, nothing, (), nothing, "")
     centre, spread = float(values.mean()), _RANGE * float(np.abs(np.diff(values)).mean())
     low, high = centre - spread, centre + spread
     outside = tuple(int(k) for k in np.flatnonzero((values < low) | (values > high)))
-    slope, by = _trend(np.array([_day(w) or 0.0 for w in when]), values, limit)
+    slope, by = _trend(np.array([_day(w) or 0.0 for w in when]), values, limit, shift=shift)
     return Chart(name, when, tuple(values.tolist()), centre, low, high, outside, slope, by)
 
 
-def _trend(days: np.ndarray, values: np.ndarray, limit: float | None) -> tuple[float, str]:
+def _trend(days: np.ndarray, values: np.ndarray, limit: float | None, *, shift: bool) -> tuple[float, str]:
     span = days - days.mean()
     square = float(span @ span)
     if square <= 0.0:
@@ -71,8 +75,9 @@ def _trend(days: np.ndarray, values: np.ndarray, limit: float | None) -> tuple[f
     error = float(np.sqrt(rest @ rest / max(len(values) - 2, 1) / square))
     if abs(slope) <= _T95 * error:
         return float("nan"), ""
-    if limit is None or slope <= 0.0:
+    if limit is None or (slope <= 0.0 and not shift):
         return slope, ""
+    limit = limit if slope > 0.0 else -limit
     ahead = (limit - (values.mean() + slope * (days[-1] - days.mean()))) / slope
     if not ahead < _FURTHEST:
         return slope, ""

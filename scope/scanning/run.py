@@ -22,7 +22,7 @@ from scope.scanning.refinement import batches, refine_window, windows
 from scope.scanning.setup import ScanSetup
 from scope.scanning.statistics import Chunk, Scan, ScanStatistics
 from scope.scanning.stripes import find_stripes
-from scope.session import AHEAD, Source, frames_in_memory, in_order, read_capture
+from scope.session import AHEAD, Capture, Source, frames_in_memory, in_order, read_capture
 
 CHUNK = 24  # frames ranged at once; fewer where they are large
 Tick = Callable[[int, int], None]
@@ -88,10 +88,10 @@ def run_scan(
 
 
 def open_scan(
-    capture: str | Path, rig: Rig, options: ScanOptions | None = None, *, source: Source | None = None
+    capture: str | Path | Capture, rig: Rig, options: ScanOptions | None = None, *, source: Source | None = None
 ) -> tuple[ScanSetup, Source]:
-    """Setup and frames of a capture file, or of the ``source`` that is given; ``FileError`` where file and rig do not fit, ``RangingError`` for a silent camera."""
-    file = read_capture(Path(capture))
+    """Setup and frames of a capture file, read already or not, or of the ``source`` that is given; ``FileError`` where file and rig do not fit, ``RangingError`` for a silent camera."""
+    file = capture if isinstance(capture, Capture) else read_capture(Path(capture))
     asked = asked_by_capture(file, rig)
     source = source or open_source(file)
     return set_up(asked, rig, options or ScanOptions(), source.first(LOOK)), source

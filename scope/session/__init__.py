@@ -14,16 +14,18 @@ from scope.session.calibration_file import (
     PlannedPlane,
     StagePlan,
     planned_camera,
+    planned_limits,
     planned_planes,
     read_calibration,
 )
 from scope.session.camera_section import DRIVERS, ON_FILES, CameraSection, CameraSettings, camera_settings
 from scope.session.capture import Capture, StageUse, read_capture
 from scope.session.commented import FILES, write_commented
-from scope.session.following import Follow, Follower
+from scope.session.following import Clock, Follow, Follower
 from scope.session.frames import (
     AHEAD,
     HELD,
+    Folder,
     Frame,
     Iterated,
     Source,
@@ -58,9 +60,11 @@ __all__ = [
     "CameraSection",
     "CameraSettings",
     "Capture",
+    "Clock",
     "DRIVERS",
     "ENDINGS",
     "FILES",
+    "Folder",
     "Follow",
     "Follower",
     "Frame",
@@ -100,6 +104,7 @@ __all__ = [
     "open_video",
     "plan_of",
     "planned_camera",
+    "planned_limits",
     "planned_planes",
     "read_alike",
     "read_calibration",

@@ -244,8 +244,8 @@ class PlannedPlane:
 
     name: str
     images: tuple[str, ...]
-    laser: tuple[str, ...]  # empty where there is none, or where there are several lasers
-    background: tuple[str, ...]
+    laser: dict[str, tuple[str, ...]]  # by laser, "" for the only one; empty where the file asks for none
+    background: dict[str, tuple[str, ...]]
 
 
 def planned_planes(path: Path) -> tuple[PlannedPlane, ...]:
@@ -255,8 +255,8 @@ def planned_planes(path: Path) -> tuple[PlannedPlane, ...]:
         PlannedPlane(
             section.name or Path(_patterns(section.images)[0]).parent.name or f"plane {k + 1}",
             _patterns(section.images),
-            _patterns(section.laser),
-            _patterns(section.background),
+            _patterns_by_laser(section.laser),
+            _patterns_by_laser(section.background),
         )
         for k, section in enumerate(raw.plane)
     )
@@ -268,9 +268,20 @@ def planned_camera(path: Path) -> CameraSettings | None:
     return None if raw.camera is None else camera_settings(raw.camera, path.parent)
 
 
+def planned_limits(path: Path) -> dict[str, float]:
+    """Limits of [accept] that are given: ray_mm, laser_mm, repeat_px; ``FileError`` as `read_calibration`."""
+    return {key: value for key, value in read_toml(path, CalibrationSection).accept if value is not None}
+
+
+def _patterns_by_laser(value: ByLaser | None) -> dict[str, tuple[str, ...]]:
+    if isinstance(value, dict) and len(value) > 1:
+        return {name: (pattern,) for name, pattern in value.items()}
+    return {"": _patterns(value)} if value else {}
+
+
 def _patterns(value: Any) -> tuple[str, ...]:
     if isinstance(value, dict):
-        value = next(iter(value.values())) if len(value) == 1 else None
+        value = next(iter(value.values()))
     return (value,) if isinstance(value, str) else tuple(value or ())
 
 

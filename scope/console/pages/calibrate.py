@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import run, ui
 
 from scope.console.console import Console
-from scope.console.pages.layout import box, figures, framed, live_image, refused, say, told
+from scope.console.pages.layout import box, figures, framed, live_image, refused, say, table, told
 from scope.console.steps import Step
 
 _WORDS = {"good": "good", "poor": "not good", "taken": "half taken", "empty": "to take", "skipped": "skipped"}
@@ -27,12 +27,33 @@ def add_calibrate(console: Console) -> None:
                     _verdict(console)
             with ui.column().classes("w-full gap-2"):
                 live_image()
+                _now(console)
                 ui.label(
-                    "Each stand-off: put the target in its place, take; the light says whether it is good."
+                    "Each stand-off: put the target in its place, take; the light says whether it is good. "
+                    f"Images land in {console.folder.root.name}/, as calibration.toml names them; closing this page loses nothing."
                 ).classes("muted")
-                ui.label(f"Images land in {console.folder.root.name}/, as calibration.toml names them.").classes(
-                    "muted"
-                )
+
+
+def _now(console: Console) -> None:
+    """What the image of this moment would be judged."""
+    if console.jobs.running is None:
+        say(lambda: console.show("target"))
+    advice = told("looking")
+    content = table()
+
+    def refresh() -> None:
+        look = console.look
+        if look is None or look.subject != "target":
+            return
+        expected = console.expected_marks()
+        found = len(look.spots)
+        shown = {**look.figures, **({"spots": f"{found}, the target has {expected}"} if expected else {})}
+        content.set_content(figures(shown))
+        few = expected is not None and found < 0.95 * expected
+        advice.set_text(look.advice or (f"{found} of {expected} marks in view" if few else "ready to take"))
+        advice.classes(replace=f"told {'warn' if look.advice or few else 'good'}")
+
+    ui.timer(0.5, refresh)
 
 
 def _steps(console: Console) -> None:
@@ -44,7 +65,12 @@ def _steps(console: Console) -> None:
                 "warn",
             )
             return
-        for step in say(console.steps.all) or []:
+        steps_there = say(console.steps.all) or []
+        if not steps_there:
+            told(
+                "calibration.toml has no [[plane]]: freehand [[views]] are taken by hand, and calibrated below.", "warn"
+            )
+        for step in steps_there:
             with ui.element("div").classes("step").mark(step.name):
                 ui.element("span").classes(f"lamp {step.light}").props(f'role="img" aria-label="{_WORDS[step.light]}"')
                 with ui.element("div").classes("what"):
@@ -52,6 +78,10 @@ def _steps(console: Console) -> None:
                     counts = ", ".join(f"{count} {kind}" for kind, count in step.files.items() if count)
                     said = step.told if step.light == "empty" else f"{_WORDS[step.light]}: {step.told}"
                     ui.label(said + (f" ({counts})" if counts else "")).classes("muted")
+                    if step.checks:
+                        with ui.element("div").classes("chips"):
+                            for word, good in step.checks.items():
+                                ui.label(("✓ " if good else "✗ ") + word).classes(f"chip {'good' if good else 'bad'}")
                 with ui.element("div").style("display:flex;gap:.4rem;margin-left:auto"):
                     _buttons(console, step, steps.refresh)
 
@@ -76,18 +106,29 @@ def _buttons(console: Console, step: Step, refresh: Any) -> None:
         refresh()
 
     again = step.light not in {"empty", "skipped"}
-    if console.station.switches_laser or not step.laser:
+    if console.steps.in_turn(console.station, step):
         kinds = [("", "redo" if again else "take")]
     else:
-        kinds = [("images", "target again" if step.files.get("images") else "take target")]
-        kinds.append(("laser", "laser again" if step.files.get("laser") else "take laser"))
-        kinds += [("background", "take dark")] if step.background else []
+        kinds = [(kind, f"{kind} again" if step.files.get(kind) else f"take {kind}") for kind in step.shots]
     for kind, label in kinds:
         button = ui.button(label, on_click=partial(take, kind)).props(
             f'dense no-caps unelevated aria-label="{label} {step.name}"'
         )
         button.mark(f"take-{step.name}{'-' + kind if kind else ''}")
     ui.button("take in" if step.light == "skipped" else "skip", on_click=skip).props("dense no-caps flat")
+
+
+def _report(console: Console) -> None:
+    """The report with its pictures, on the page and by itself."""
+    if not (console.folder.root / "calibration.html").is_file():
+        return
+    with ui.expansion("the report, with pictures of every stand-off").classes("w-full").props("dense"):
+        ui.element("iframe").classes("viewer").props(
+            'src="/files/calibration.html" title="report of the calibration" loading="lazy"'
+        )
+    with ui.element("div").classes("fields"):
+        ui.link("the whole report", "/files/calibration.html", new_tab=True)
+        ui.link("rig.json", "/files/rig.json")
 
 
 def _verdict(console: Console) -> None:
@@ -112,7 +153,7 @@ def _verdict(console: Console) -> None:
                     ("passed: " if rig.verification.passed else "not passed: ") + rig.verification.why,
                     "good" if rig.verification.passed else "bad",
                 )
-                ui.link("the report", "/files/calibration.html", new_tab=True)
+                _report(console)
             return
         if job.state == "failed":
             told(job.message, "bad")
@@ -133,7 +174,7 @@ def _verdict(console: Console) -> None:
             for p in found["planes"]
         ]
         ui.html(figures(rows, ("plane", "marks", "fit, px", "held out, mm")), sanitize=False).classes("w-full")
-        ui.link("the whole report, with pictures", "/files/calibration.html", new_tab=True)
+        _report(console)
 
     verdict()
 

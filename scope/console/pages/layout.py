@@ -47,6 +47,7 @@ body{color:var(--text);background:var(--page);font:15px/1.5 system-ui,sans-serif
 .viewer{width:100%;height:min(70vh,40rem);border:1px solid var(--line);border-radius:8px;background:#10151c}
 .step{display:flex;flex-wrap:wrap;gap:.4rem .8rem;align-items:center;width:100%;padding:.5rem 0;border-bottom:1px solid var(--line)}
 .step .what{flex:1 1 14rem;min-width:0;overflow-wrap:anywhere}
+.chips{display:flex;flex-wrap:wrap;gap:.2rem .5rem}.chip{font-size:.82rem}.chip.good{color:var(--good)}.chip.bad{color:var(--bad);font-weight:600}
 .fields{display:flex;flex-wrap:wrap;gap:.6rem .8rem;align-items:flex-start;width:100%;margin:.3rem 0}.fields>.q-btn{min-height:40px}.fields>.q-checkbox{min-height:40px}
 """
 _LIVE = """
@@ -145,12 +146,12 @@ def table(content: str = "") -> Any:
 
 
 @contextmanager
-def box(title: str = "") -> Iterator[None]:
+def box(title: str = "") -> Iterator[Any]:
     """A bordered part of a page."""
-    with ui.element("section").classes("box"):
+    with ui.element("section").classes("box") as part:
         if title:
             ui.label(title).props('role="heading" aria-level="2"').classes("head")
-        yield
+        yield part
 
 
 def told(text: str, level: str = "") -> Any:

@@ -93,6 +93,15 @@ def _choices(console: Console) -> None:
                 lambda: console.show("target" if chosen.value == "target" else "stripe", str(event.value))
             )
         )
+    rig = console.rig()
+    if rig is not None and len(rig.lasers) > 1:
+        names = list(rig.lasers)
+        ui.select(
+            names,
+            value=console.laser or names[0],
+            label="laser",
+            on_change=lambda event: setattr(console, "laser", str(event.value)),
+        ).props("dense outlined").classes("w-32")
     ui.checkbox(
         "overlay", value=console.overlay, on_change=lambda event: setattr(console, "overlay", bool(event.value))
     )

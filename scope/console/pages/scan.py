@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from nicegui import ui
 
 from scope.console.console import Console
+from scope.console.folder import frame_numbers
 from scope.console.pages.layout import box, figures, framed, live_image, say, table, told
 from scope.report import why_no_point
 
@@ -43,6 +45,7 @@ def add_scan(console: Console) -> None:
             with ui.column().classes("w-full gap-3"):
                 with box("Motion"):
                     _motion(console)
+                _unfinished(console)
                 with box("Lines without a point, and why"):
                     rejected = table()
                 live_image()
@@ -73,25 +76,30 @@ def _motion(console: Console) -> None:
             "direction, or axis, x y z", offered.get("direction", offered.get("axis_direction", [1, 0, 0]))
         )
         point = _vector("point on the axis, mm", offered.get("axis_point", [0, 0, 0]))
+    places = {"step": "by step", "positions": "CSV by frame", "log": "log over time"}
+    by = ui.toggle(places, value="step").props("dense no-caps")
+    with ui.element("div").classes("fields") as even:
+        step = _field("step, mm or degrees", offered.get("step", 0.5), "w-36")
+        start = _field("start", offered.get("start", 0.0), "w-28")
+    with ui.element("div").classes("fields") as told_elsewhere:
+        file = ui.input("file in the session folder", value="stage.csv").props("dense outlined").classes("w-48")
+        delay = _field("delay, s", 0.0, "w-28")
+        clocks = {"first-frame": "s from the first frame", "camera": "camera's clock", "system": "Unix time"}
+        clock = ui.select(clocks, value="first-frame", label="the log's clock").props("dense outlined").classes("w-48")
     with ui.element("div").classes("fields"):
-        step = (
-            ui.number("step, mm or degrees", value=offered.get("step", 0.5), format="%.6g")
-            .props("dense outlined")
-            .classes("w-36")
-        )
-        start = (
-            ui.number("start", value=offered.get("start", 0.0), format="%.6g").props("dense outlined").classes("w-28")
-        )
-        frames = (
-            ui.number("frames", value=None, min=1, format="%d")
-            .props('dense outlined clearable hint="empty: all"')
-            .classes("w-36")
-        )
+        frames = _field("frames", None, "w-36", 'clearable hint="empty: all" min=1')
+        lasers, turns = _lasers(console)
 
     def asked() -> dict[str, Any]:
         if kind.value == "fixed":
             return {"kind": "fixed"}
-        told = {"kind": kind.value, "moves": moves.value, "step": step.value, "start": start.value or 0.0}
+        told: dict[str, Any] = {"kind": kind.value, "moves": moves.value}
+        if by.value == "step":
+            told |= {"step": step.value, "start": start.value or 0.0}
+        else:
+            told[by.value] = str(file.value or "")
+        if by.value == "log":
+            told |= {"delay": delay.value, "clock": clock.value}
         if kind.value == "linear":
             return {**told, "direction": "rig" if stage.value else _three(direction.value)}
         if stage.value:
@@ -100,9 +108,9 @@ def _motion(console: Console) -> None:
 
     def begin() -> None:
         def work() -> Any:
-            return console.start_scan(
-                {"motion": asked(), "frames": None if frames.value is None else int(frames.value)}
-            )
+            more = {} if lasers is None else {"lasers": list(lasers.value), "sequence": turns.value}
+            count = None if frames.value is None else int(frames.value)
+            return console.start_scan({"motion": asked(), "frames": count, **more})
 
         if say(work) is not None:
             ui.notify("scanning")
@@ -112,16 +120,71 @@ def _motion(console: Console) -> None:
         ui.button("stop", on_click=console.stop).props("no-caps outline").mark("stop")
 
     def fit() -> None:
-        moves.set_visibility(kind.value != "fixed")
-        stage.set_visibility(kind.value != "fixed")
-        vectors.set_visibility(kind.value != "fixed" and not stage.value)
+        moving = kind.value != "fixed"
+        for part in (moves, stage, by):
+            part.set_visibility(moving)
+        vectors.set_visibility(moving and not stage.value)
         point.set_visibility(kind.value == "turntable")
-        step.set_visibility(kind.value != "fixed")
-        start.set_visibility(kind.value != "fixed")
+        even.set_visibility(moving and by.value == "step")
+        told_elsewhere.set_visibility(moving and by.value != "step")
+        delay.set_visibility(by.value == "log")
+        clock.set_visibility(by.value == "log")
 
-    kind.on_value_change(fit)
-    stage.on_value_change(fit)
+    for part in (kind, stage, by):
+        part.on_value_change(fit)
     fit()
+
+
+def _field(label: str, value: float | None, width: str, more: str = "") -> Any:
+    return ui.number(label, value=value, format="%.6g").props(f"dense outlined {more}").classes(width)
+
+
+def _lasers(console: Console) -> tuple[Any, Any]:
+    """Which lasers shine, and how; nothing where the rig has one."""
+    rig = console.rig()
+    names = [] if rig is None else list(rig.lasers)
+    if len(names) < 2:
+        return None, None
+    lasers = ui.select(names, value=names, multiple=True, label="lasers").props("dense outlined").classes("w-48")
+    turns = ui.toggle({"together": "together", "cycle": "in turn"}, value="together").props("dense no-caps")
+    return lasers, turns
+
+
+def _unfinished(console: Console) -> None:
+    """Scans that broke off: range what is there, or go on behind it."""
+
+    def resume(name: str, *, camera: bool) -> None:
+        if say(lambda: console.resume_scan(name, camera=camera)) is not None:
+            ui.notify(f"{name}: going on")
+
+    @ui.refreshable
+    def names() -> None:
+        for name in console.folder.unfinished()[:5]:
+            with ui.element("div").classes("step"):
+                with ui.element("div").classes("what"):
+                    ui.label(name).style("font-weight:600")
+                    count = len(frame_numbers(console.folder.scan(name)))
+                    ui.label(f"broke off; {count} frames are kept").classes("muted")
+                ui.button("finish", on_click=partial(resume, name, camera=False)).props("dense no-caps unelevated")
+                if console.can_go_on(name):
+                    ui.button("resume", on_click=partial(resume, name, camera=True)).props("dense no-caps outline")
+
+    with box("Unfinished scans") as part:
+        names()
+        ui.label(
+            "finish ranges the frames that are kept; resume takes the camera's next frames behind them, the stage being where it stopped"
+        ).classes("muted")
+    seen: list[Any] = [None]
+
+    def refresh() -> None:
+        there = [] if console.jobs.running is not None else console.folder.unfinished()
+        part.set_visibility(bool(there))
+        if there != seen[0]:
+            seen[0] = there
+            names.refresh()
+
+    refresh()
+    ui.timer(1.0, refresh)
 
 
 def _vector(label: str, value: Any) -> Any:
@@ -156,7 +219,8 @@ def _cloud(console: Console) -> None:
             progress.set_value(job.done / job.total if job.total else 0.0)
             for picture in pictures:
                 picture.props(f'data-want="{growth.version}"')
-            state.set_text(f"{growth.name}: {growth.frames} frames, {growth.points} points")
+            lost = console.station.status.get("dropped", 0)
+            state.set_text(f"{growth.name}: {growth.frames} frames, {growth.points} points, {lost} frames dropped")
             state.classes(replace="told")
         last = console.jobs.last
         name = "" if scanning else next(iter(console.folder.clouds()), "")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
+import shutil
 import threading
 import time
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +20,7 @@ from scope.console.console import Console
 from scope.console.folder import SessionFolder, toml_text
 from scope.console.jobs import Busy, Jobs
 from scope.console.look import look_at, picture
-from scope.console.recording import motion_of
+from scope.console.recording import Place, motion_of
 from scope.scanning import Scanner, run_scan
 from scope.session import CameraSettings, read_image
 from scope.simulation import planned_session
@@ -100,6 +103,112 @@ def test_a_stopped_scan_keeps_the_frames_that_came(console: Console, session) ->
     assert 0 < len(kept) <= 8
     assert job.state == "done", job.message
     assert job.result["frames"] == len(kept)
+
+
+def test_a_scan_that_broke_off_is_finished_or_gone_on_with(console: Console, session) -> None:
+    """The peer is a scan in one piece: frames 0 to 2 kept, the camera takes the others, one cloud bit for bit."""
+    wait_for_camera(console)
+    console.folder.rig.write_bytes(session.rig.read_bytes())
+    whole = console.start_scan({}, "whole")
+    console.jobs.wait(120)
+    assert whole.state == "done", whole.message
+    for name in ("cut", "cut-too"):
+        place = Place(console.folder, console.folder.new_scan(name))
+        place.begin(console.station.settings, {"motion": motion_of(console.motion), "frames": None})
+        (place.path / "frames").mkdir()
+        for k in range(3):
+            shutil.copy(console.folder.scan("whole") / "frames" / f"{k:06d}.png", place.path / "frames")
+    assert sorted(console.folder.unfinished()) == ["cut", "cut-too"]
+    assert console.can_go_on("cut")
+    job = console.resume_scan("cut", camera=True)
+    console.jobs.wait(120)
+    assert job.state == "done", job.message
+    clouds = [(console.folder.scan(name) / "cloud.ply").read_bytes() for name in ("whole", "cut")]
+    assert clouds[0] == clouds[1]
+    job = console.resume_scan("cut-too", camera=False)
+    console.jobs.wait(120)
+    assert (job.state, job.result["frames"]) == ("done", 3)
+    assert console.folder.unfinished() == []
+    with pytest.raises(FileError, match="no unfinished scan"):
+        console.resume_scan("whole", camera=False)
+
+
+def test_a_scan_by_a_log_takes_the_log_with_it(console: Console, session) -> None:
+    """The virtual stage goes 2 mm a frame at 25 a second; the log ends before the last two frames."""
+    wait_for_camera(console)
+    console.folder.rig.write_bytes(session.rig.read_bytes())
+    rows = "".join(f"{0.1 * k:.1f},{-11.0 + 5.0 * k}\n" for k in range(-3, 3))
+    (console.folder.root / "stage.csv").write_text(f"seconds,position\n{rows}", encoding="utf-8")
+    motion = {"kind": "linear", "moves": "object", "direction": [0.0, 1.0, 0.0], "log": "stage.csv", "delay": 0.0}
+    console.station.settings = replace(console.station.settings, timeout_s=0.2)
+    job = console.start_scan({"motion": motion}, "logged")
+    console.jobs.wait(120)
+    assert job.state == "done", job.message
+    assert (job.result["frames"], job.result["complete"]) == (6, False)
+    place = console.folder.scan("logged")
+    (console.folder.root / "stage.csv").unlink()
+    again = run_scan(place / "capture.toml", console.folder.rig)
+    # the noise was learnt from all frames that came, of which two have no position
+    assert len(again.cloud) == pytest.approx(job.result["points"], rel=0.01)
+    assert len(list((place / "frames-without-position").iterdir())) >= 1
+    with pytest.raises(ValueError, match="name of a CSV"):
+        motion_of({**motion, "log": "../stage.csv"})
+
+
+def test_stand_offs_of_several_lasers_have_a_shot_for_each(console: Console) -> None:
+    wait_for_camera(console)
+    text = console.folder.calibration.read_text(encoding="utf-8")
+    first = next(step for step in console.steps.all() if step.shots.get("laser"))
+    lit = first.shots["laser"][0]
+    other = lit.replace("laser", "green")
+    console.folder.calibration.write_text(
+        text.replace(f'laser = "{lit}"', f'laser = {{ red = "{lit}", green = "{other}" }}'), encoding="utf-8"
+    )
+    step = console.steps.all()[0]
+    assert [kind for kind in step.shots if kind.startswith("laser")] == ["laser red", "laser green"]
+    assert console.steps.in_turn(console.station, step) == []
+    assert "laser green" in console.steps.take(console.station, step.name, "laser green")
+    assert console.steps.all()[0].files["laser green"] == 2
+    with pytest.raises(FileError, match="asks for no laser blue"):
+        console.steps.take(console.station, step.name, "laser blue")
+
+
+def test_a_disk_that_is_full_while_images_are_taken_leaves_those_before(console: Console, monkeypatch) -> None:
+    wait_for_camera(console)
+    step = console.steps.all()[0]
+    console.steps.take(console.station, step.name)
+    place = console.folder.root / Path(step.shots["target"][0]).parent
+    before = {path.name: path.read_bytes() for path in place.iterdir()}
+    room, write = [1], Path.write_bytes
+
+    def full(path: Path, data: bytes) -> int:
+        room[0] -= 1
+        if room[0] < 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(FileError, match="No space left on device"):
+        console.steps.take(console.station, step.name)
+    assert {path.name: path.read_bytes() for path in place.iterdir()} == before
+
+
+def test_a_disk_that_is_full_while_it_scans_keeps_the_frames_that_came(console: Console, session, monkeypatch) -> None:
+    wait_for_camera(console)
+    console.folder.rig.write_bytes(session.rig.read_bytes())
+    write = Path.write_bytes
+
+    def full(path: Path, data: bytes) -> int:
+        if path.name.startswith(".000005"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    job = console.start_scan({}, "full")
+    console.jobs.wait(60)
+    assert job.state == "done", job.message
+    assert job.result["frames"] == 5
+    assert "No space left on device" in job.result["why_incomplete"]
 
 
 def test_a_calibration_file_that_leads_out_of_the_folder_is_refused(console: Console) -> None:

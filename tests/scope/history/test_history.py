@@ -80,3 +80,15 @@ def test_noise_is_no_trend_and_few_values_have_no_limits() -> None:
     noise = chart_of("heldout_mm", records([0.010, 0.012, 0.009, 0.011, 0.010, 0.012, 0.009]), limit=0.030)
     assert noise.recalibrate_by == ""
     assert chart_of("heldout_mm", records([1.0, 2.0, 3.0])).outside == ()
+
+
+def test_the_shift_of_a_sheet_is_told_from_the_first_and_limited_on_both_sides() -> None:
+    """Closed form: 0.01 mm a day downwards from 17 mm meets 0.2 mm of shift after 20 days."""
+    records = [
+        Record("calibrate", True, {"red.offset_mm": 17.0 - 0.01 * k}, when=f"2026-03-{k + 1:02d}T12:00:00+00:00")
+        for k in range(8)
+    ]
+    found = chart_of("red.offset_mm", records, limit=0.2, shift=True)
+    assert found.values[0] == 0.0
+    assert found.recalibrate_by == "2026-03-21"
+    assert chart_of("red.offset_mm", records, limit=0.2).recalibrate_by == ""
