@@ -72,7 +72,6 @@ def look(rig: VirtualRig, points: Array, surface: Array, *, albedo: float, dark_
     reached, _ = rig.laser.reach(points)
     cosine = np.clip(-np.einsum("ij,ij->i", reached.direction, surface), 0.0, None)
     seen = np.clip(-np.einsum("ij,ij->i", rays.direction, surface), 0.0, None) > 0.0
-    bent = _bend(rig, pixels, points, surface, axis)
     light = rig.level * rig.laser.strength_at(points) * albedo * cosine * np.where(seen, 1.0, 0.0)
     signal = light * width / stripe
     # lens alone, for the profile that the pixel integrates
@@ -85,29 +84,36 @@ def look(rig: VirtualRig, points: Array, surface: Array, *, albedo: float, dark_
     return StripeLook(
         pixels, rays.direction, normal, along, along_line / (2 * _STEP), stripe, blur, width, signal,
         signal + rig.sensor.black + rig.design.camera.ambient >= rig.sensor.white, sigma_px, sigma_px * along,
-        _skew(rig, offset[0], bent, width, stripe, signal),
+        _skew(rig, pixels, points, surface, axis, (offset[0], width, stripe, signal)),
     )  # fmt: skip
 
 
-def _bend(rig: VirtualRig, pixels: Array, points: Array, surface: Array, axis: int) -> Array:
-    """Second derivative (N,) mm/px^2 of the surface's distance from the sheet by the pixel across the stripe."""
+def _skew(
+    rig: VirtualRig, pixels: Array, points: Array, surface: Array, axis: int, seen: tuple[Array, Array, Array, Array]
+) -> Array:  # fmt: skip
+    """Displacement (N,) mm of the middle of a profile that is not even about the middle of the sheet (docs/method.md, 11).
+
+    Perspective bends the distance from the sheet (b), the sheet widens away from the laser (h), and its light falls off and
+    meets the surface at another angle (g): s^2 (g - (3 + rho q) / 2 (b / a - 2 h)) px. rho goes from 0, where photons rule
+    the noise, to -3/2, where it is even. ``seen``: a, mm of distance a px; widths of laser and stripe, px; signal.
+    """
+    slope, width, stripe, signal = seen
     wide = 4.0  # px: the second difference of what is nearly straight
     step = np.zeros((1, 2))
     step[0, axis] = wide
     ends = [_meet(exact_rays(rig.camera, pixels + k * step), points, surface) for k in (-1.0, 0.0, 1.0)]
-    before, here, after = (rig.laser.reach(end)[1] for end in ends)
-    return np.asarray((before - 2.0 * here + after) / wide**2)
-
-
-def _skew(rig: VirtualRig, slope: Array, bend: Array, width: Array, stripe: Array, signal: Array) -> Array:
-    """Displacement (N,) mm of the middle of a profile that perspective skews: -s^2 b (3 + rho q) / 2 (docs/method.md, 7).
-
-    rho goes from 0, where photons rule the noise, to -3/2, where it is even.
-    """
+    rays, offset = zip(*(rig.laser.reach(end) for end in ends), strict=True)
+    bend = (offset[0] - 2.0 * offset[1] + offset[2]) / wide**2
+    facing = [-np.einsum("ij,ij->i", each.direction, surface) for each in rays]
+    light = [f * rig.laser.strength_at(end) for f, end in zip(facing, ends, strict=True)]
+    broad = [rig.laser.width_at(end) for end in ends]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        dims = (light[2] - light[0]) / (2.0 * wide * light[1])
+        widens = (broad[2] - broad[0]) / (2.0 * wide * broad[1])
     even = rig.sensor.read_noise**2 + 1.0 / 12.0
     rho = -1.5 * even / (even + 0.5 * signal / rig.sensor.gain_e)
     share = width**2 / stripe**2
-    return np.asarray(-(width**2) * bend * (3.0 + rho * share) / 2.0) * np.where(np.isfinite(slope), 1.0, np.nan)
+    return np.asarray(width**2 * (slope * dims - (3.0 + rho * share) / 2.0 * (bend - 2.0 * slope * widens)))
 
 
 def position_sigma(rig: VirtualRig, amplitude: Array, width: Array, dark_images: int) -> Array:

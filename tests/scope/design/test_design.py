@@ -66,6 +66,24 @@ def test_the_noise_of_a_stripe_is_the_scatter_of_rendered_ones(speckle):
     assert np.sqrt(np.mean(expected**2)) / scatter == pytest.approx(1.0, abs=0.06 if not speckle else 0.15)
 
 
+@pytest.mark.parametrize("divergence", [0.0, 4.0])
+def test_a_stripe_is_displaced_as_the_middle_of_its_rendered_light(divergence):
+    laser = LaserDesign(
+        (-BASE, 0.0, 0.0), (0.0, 0.0, STAND_OFF), roll=2.0, peak=150.0, waist=0.35, waist_at=300.0, divergence=divergence
+    )
+    camera = replace(plain().camera, gain_e=0.01)  # photons rule the noise: the fit is a centroid
+    rig = VirtualRig.of(plain(laser=laser, camera=camera))
+    across, lines = np.arange(640), np.arange(80, 400)
+    for plane in (0, 2):
+        blank = rig.blank(plane)
+        truth, light = rig.truth_of(blank), rig.stripe_light(blank)[lines]
+        middle = (light @ across) / light.sum(axis=1) - truth.position[lines]
+        points = truth.points[lines]
+        seen = look(rig, points, np.array([0.0, 0.0, -1.0]), albedo=1.0)
+        a_px = rig.laser.reach(points + points[:, 2:] / FOCAL * [1.0, 0.0, 0.0])[1]  # mm off the sheet
+        assert np.mean(middle) == pytest.approx(np.mean(seen.skew / a_px), rel=0.05, abs=3e-5)
+
+
 def test_the_noise_of_a_spot_is_the_scatter_of_rendered_ones():
     rig = VirtualRig.of(plain(jig=replace(plain().jig, images=1)))
     (_, plane, _) = plan_planes(rig)
@@ -96,7 +114,7 @@ def test_more_light_longer_baseline_and_more_spots_are_better():
     repeated = design_rig(plain(jig=replace(design.jig, images=30, laser_images=20))).result
     assert brighter["sigma_mm"]["median"] < 0.85 * base["sigma_mm"]["median"]
     assert wider["sigma_mm"]["median"] < 0.75 * base["sigma_mm"]["median"]
-    assert repeated["sigma_cal_mm"]["median"] < 0.5 * base["sigma_cal_mm"]["median"]
+    assert repeated["sigma_cal_mm"]["median"] < 0.65 * base["sigma_cal_mm"]["median"]  # what skews profiles stays
     assert repeated["sigma_mm"]["median"] == pytest.approx(base["sigma_mm"]["median"])
     for name in ("sphere", "step", "pose"):
         assert repeated["expected"][name]["calibration_mm"] < base["expected"][name]["calibration_mm"]
