@@ -69,7 +69,13 @@ def test_the_noise_of_a_stripe_is_the_scatter_of_rendered_ones(speckle):
 @pytest.mark.parametrize("divergence", [0.0, 4.0])
 def test_a_stripe_is_displaced_as_the_middle_of_its_rendered_light(divergence):
     laser = LaserDesign(
-        (-BASE, 0.0, 0.0), (0.0, 0.0, STAND_OFF), roll=2.0, peak=150.0, waist=0.35, waist_at=300.0, divergence=divergence
+        (-BASE, 0.0, 0.0),
+        (0.0, 0.0, STAND_OFF),
+        roll=2.0,
+        peak=150.0,
+        waist=0.35,
+        waist_at=300.0,
+        divergence=divergence,
     )
     camera = replace(plain().camera, gain_e=0.01)  # photons rule the noise: the fit is a centroid
     rig = VirtualRig.of(plain(laser=laser, camera=camera))
