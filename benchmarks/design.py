@@ -6,23 +6,20 @@ run anywhere and in any order), adds a line of JSON for each to FILE, and passes
 predicted over found: the noise along the ray at twenty places (scatter of repeated exposures), and the rms of the calibration's
 error over the sheet (several calibrations of each design, against the exact rays and sheet). ``time``: a prediction over one
 simulated session. ``briefs``: what ``--want`` proposes, rendered, calibrated and ranged.
+
+To be run with OMP_NUM_THREADS=1, as the command `scope` does: BLAS is several times slower with more.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sys
 import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calibration.threads import claim_threads
-
-claim_threads(None, os.environ)  # before numpy is loaded
-
-import numpy as np  # noqa: E402
+import numpy as np
 
 from benchmarks.shared import head, row
 from calibration.geometry import Array, Pose
@@ -268,7 +265,13 @@ def tell(files: list[Path]) -> None:
     for each in everything:
         low, middle, high = np.percentile(each["noise"], [0, 50, 100])
         told, found = 1e3 * each["predicted_mm"], 1e3 * each["found_mm"]
-        row(each["design"], each["kind"], f"{low:.3f}, {middle:.3f}, {high:.3f}", f"{told:.2f} / {found:.2f}", told / found)
+        row(
+            each["design"],
+            each["kind"],
+            f"{low:.3f}, {middle:.3f}, {high:.3f}",
+            f"{told:.2f} / {found:.2f}",
+            told / found,
+        )
     noise = np.concatenate([each["noise"] for each in everything])
     ratio = np.array([each["predicted_mm"] / each["found_mm"] for each in everything])
     print()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,9 +11,11 @@ import typer
 
 from cli.console import (
     EXIT_NOT_TO_BE_USED,
+    Jobs,
     Json,
     Quiet,
     Report,
+    Scheduler,
     emit,
     progress,
     say,
@@ -51,6 +54,8 @@ def design(
     draws: Annotated[
         int, typer.Option("--draws", min=0, max=100_000, help="Rigs to draw with the file's [tolerance].")
     ] = 0,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = "",
     init: Annotated[bool, typer.Option("--init", help="Write a commented rig-design.toml to fill in.")] = False,
     report: Report = None,
     as_json: Json = False,
@@ -76,7 +81,9 @@ def design(
         raise typer.BadParameter(f"{tilt!r}: 80 degrees at most", param_hint="--tilt")
     surface = Surface(albedo, (radians(about[0]), radians(about[1])))
     with user_errors():
-        met, troubled = _predict(file, place, surface, brief, (out, report, draws), as_json=as_json, quiet=quiet)
+        met, troubled = _predict(
+            file, place, surface, brief, (out, report, (draws, jobs, scheduler)), as_json=as_json, quiet=quiet
+        )
     if not met:
         say("the brief cannot be met: the nearest rig is shown", quiet=quiet)
     elif troubled:
@@ -87,15 +94,16 @@ def design(
 
 def _predict(
     file: Path, place: tuple[float, ...] | None, surface: Surface, brief: Wanted | None,
-    asked: tuple[Path | None, Path | None, int], *, as_json: bool, quiet: bool,
+    asked: tuple[Path | None, Path | None, tuple[int, int, str]], *, as_json: bool, quiet: bool,
 ) -> tuple[bool, int]:  # fmt: skip
     """Predict, print and write; whether a brief was met, and how many troubles there are."""
     from calibration.atomic import require_folder
     from calibration.errors import FileError
+    from scope.batch import each
     from scope.design import design_rig, design_text, draw_figures, draws_text, proposal_text, propose, write_design
     from scope.simulation import read_design
 
-    out, report, draws = asked
+    out, report, (draws, jobs, scheduler) = asked
     require_folder(report, out)
     design = read_design(file)
     if draws and design.tolerance is None:
@@ -108,7 +116,8 @@ def _predict(
             say(f"wrote {out}", quiet=quiet)
     found = design_rig(design, at=None if place is None else (place[0], place[1], place[2]), surface=surface)
     with progress("drawing rigs", quiet=quiet) as tick:
-        drawn = draw_figures(design, draws, surface=surface, on_draw=tick) if draws else None
+        run = partial(each, jobs=jobs, scheduler=scheduler, on_done=tick)
+        drawn = draw_figures(design, draws, surface=surface, each=run) if draws else None
     result, text = found.result, design_text(found.result)
     if proposal is not None:
         result["wanted"] = proposal.result

@@ -18,7 +18,10 @@ def register(app: typer.Typer) -> None:
 def target(
     source: Annotated[
         str,
-        typer.Argument(metavar="FILE|KIND", help="calibration.toml, or spots, chessboard, charuco, markers, circles"),
+        typer.Argument(
+            metavar="FILE|KIND",
+            help="calibration.toml, rig-design.toml, or spots, chessboard, charuco, markers, circles",
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="target.svg, .pdf or .dxf (drill layout)")] = Path(
         "target.pdf"
@@ -30,15 +33,21 @@ def target(
         str | None,
         typer.Option("--measured", metavar="MM[,MM]", help="Crosses of the print, across[, down]: corrects the file."),
     ] = None,
+    jig: Annotated[
+        Path | None,
+        typer.Option("--jig", help="Also draw the jig's base, 1 : 1: stand-offs and seats. .svg, .pdf or .dxf"),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Draw the target that a calibration file describes, to scale, to be printed or drilled."""
-    from scope.printing import print_target
+    """Draw the target that a calibration file describes, to scale, to be printed or drilled; and the jig that carries it."""
+    from scope.printing import print_jig, print_target
 
     size, lengths = _paper(paper, out), _measured(measured)
+    base = None if jig is None else _paper("fit" if jig.suffix.lower() == ".dxf" else paper, jig, option="--jig")
     with user_errors():
         found = print_target(source, out, paper=size, measured=lengths)
+        seats = None if jig is None else print_jig(source, jig, paper=base)
     say(f"{found.toml} describes what was drawn", quiet=quiet)
     text = (
         f"{found.title}: {found.marks} marks, {found.width:g} x {found.height:g} mm, {found.pages} page"
@@ -49,14 +58,16 @@ def target(
         text += (
             f"\nscale {found.scales[0]:.5f} across, {found.scales[1]:.5f} down: {found.toml} has pitch {found.pitch}"
         )
-    emit(found.result, as_json=as_json, text=text)
+    if seats is not None:
+        text += f"\njig: {len(seats.rows)} seats; wrote {', '.join(str(path) for path in seats.files)}"
+    emit(found.result if seats is None else found.result | {"jig": seats.result}, as_json=as_json, text=text)
 
 
-def _paper(text: str, out: Path) -> tuple[float, float] | None:
+def _paper(text: str, out: Path, *, option: str = "--out") -> tuple[float, float] | None:
     from scope.printing import PAPERS
 
     if out.suffix.lower() not in (".svg", ".pdf", ".dxf"):
-        raise typer.BadParameter(f"{out}: use .svg, .pdf or .dxf", param_hint="--out")
+        raise typer.BadParameter(f"{out}: use .svg, .pdf or .dxf", param_hint=option)
     if text.lower() == "fit":
         return None
     if out.suffix.lower() == ".dxf":

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from scope.design.prediction import Surface
 from scope.design.run import DesignResult, design_rig
 from scope.simulation import FaultDesign, RigDesign
 
+Answer: TypeAlias = tuple[dict[str, float], list[str]] | None  # figures and troubles of a draw
+Each: TypeAlias = Callable[[Callable[[int], Answer], Iterable[int]], list[Answer]]
 _PARTS = (5.0, 50.0, 95.0)  # percentiles that are told
 
 
@@ -38,10 +41,11 @@ class Drawn:
 
 
 def draw_figures(
-    design: RigDesign, count: int, *, seed: int = 0, surface: Surface | None = None,
-    on_draw: Callable[[int, int], None] | None = None,
+    design: RigDesign, count: int, *, seed: int = 0, surface: Surface | None = None, each: Each | None = None
 ) -> Drawn:  # fmt: skip
     """Predict ``count`` rigs that differ by the design's tolerances; each draw depends on seed and number alone.
+
+    ``each`` does the draws and gives their answers in order, such as `scope.batch.each` with workers; by default one after another.
 
     Raises
     ------
@@ -50,20 +54,18 @@ def draw_figures(
     """
     if design.tolerance is None or count < 1:
         raise ValueError("draws need a design with tolerances, and at least one draw")
-    found = []
-    for k in range(count):
-        found.append(one_draw(design, k, seed=seed, surface=surface))
-        if on_draw is not None:
-            on_draw(k + 1, count)
-    sound = [each for each in found if each is not None]
+    found = (each or _in_turn)(partial(one_draw, design, seed=seed, surface=surface), range(count))
+    sound = [draw for draw in found if draw is not None]
     names = list(sound[0][0]) if sound else []
-    figures = {name: np.array([each[0][name] for each in sound]) for name in names}
-    return Drawn(count, count - len(sound), sum(bool(each[1]) for each in sound), figures)
+    figures = {name: np.array([draw[0][name] for draw in sound]) for name in names}
+    return Drawn(count, count - len(sound), sum(bool(draw[1]) for draw in sound), figures)
 
 
-def one_draw(
-    design: RigDesign, number: int, *, seed: int = 0, surface: Surface | None = None
-) -> tuple[dict[str, float], list[str]] | None:
+def _in_turn(function: Callable[[int], Answer], numbers: Iterable[int]) -> list[Answer]:
+    return [function(number) for number in numbers]
+
+
+def one_draw(design: RigDesign, number: int, *, seed: int = 0, surface: Surface | None = None) -> Answer:
     """Figures and troubles of one draw, work of its own; None where it cannot be calibrated."""
     try:
         found = design_rig(drawn(design, np.random.default_rng([seed, number])), surface=surface, seed=number)

@@ -13,11 +13,13 @@ from calibration.targets import Target
 from scope.printing.correction import correct, scales_of
 from scope.printing.drawing import Drawing
 from scope.printing.dxf import dxf_text
+from scope.printing.jig import Seat, jig_sheet
 from scope.printing.pdf import pdf_bytes
 from scope.printing.sheet import target_sheet
 from scope.printing.svg import svg_text
 from scope.printing.tiles import tiled
-from scope.session import TEMPLATES, read_target
+from scope.session import TEMPLATES, planned_planes, read_target, target_in
+from scope.simulation import planned_session
 
 PAPERS = {
     "a5": (148.0, 210.0),
@@ -76,8 +78,8 @@ def print_target(
     Parameters
     ----------
     source : path or kind
-        A calibration.toml, whose images need not exist yet; or "spots", "chessboard", "charuco", "markers" or "circles"
-        for the one of `scope calibrate --init`, whose calibration file is then written beside ``out``.
+        A calibration.toml, whose images need not exist yet; or a rig-design.toml, or "spots", "chessboard", "charuco", "markers" or
+        "circles" for the one of `scope calibrate --init`: their calibration file is then written beside ``out``.
     out : path
         .svg, .pdf or .dxf. An SVG of several pages becomes one file a page, numbered.
     paper : (width, height), optional
@@ -94,26 +96,19 @@ def print_target(
         Another ending, paper for a DXF, or paper too small.
     """
     out = Path(out)
-    ending = out.suffix.lower()
-    if ending not in _ENDINGS:
-        raise ValueError(f"{out}: a target is written as .svg, .pdf or .dxf")
-    if paper is not None and ending == ".dxf":
-        raise ValueError("a DXF is one drawing: paper is for .svg and .pdf")
-    require_folder(out)
-    kind = str(source) if str(source) in TEMPLATES else None
-    toml = out.with_suffix(".toml") if kind else Path(source)
-    target = _of_template(kind, toml) if kind else read_target(toml)
+    _require(out, paper)
+    text = _text_of(source)
+    toml = Path(source) if text is None else out.with_suffix(".toml")
+    target = read_target(toml) if text is None else _of_text(str(source), text, toml)
     try:
         sheet = target_sheet(target)
     except CalibrationError as error:
         raise CalibrationError(f"{toml}: {error}") from error
-    pages = [sheet.drawing] if paper is None else tiled(sheet.drawing, paper)
-    if len(pages) > _MOST_PAGES:
-        raise FileError(f"{out}: {len(pages)} pages; at most {_MOST_PAGES} are written: use larger paper")
+    pages = _pages(out, sheet.drawing, paper)
     stated = (sheet.across, sheet.down)
     scales = scales_of(toml, tuple(measured), stated) if measured else None
-    if kind and not toml.exists():
-        write_text(toml, TEMPLATES[kind])
+    if text is not None and not toml.exists():
+        write_text(toml, text)
     pitch = correct(toml, scales, tuple(measured)) if scales is not None else None
     files = _write(pages, out, sheet.title)
     whole = sheet.drawing
@@ -122,18 +117,103 @@ def print_target(
     )
 
 
-def _of_template(kind: str, toml: Path) -> Target:
-    """Target of `scope calibrate --init`; ``FileError`` where another file stands where its own is to be."""
+@dataclass(frozen=True, slots=True)
+class PrintedJig:
+    """What was written of a jig."""
+
+    rows: tuple[tuple[str, ...], ...]  # of its table
+    files: tuple[Path, ...]
+    pages: int
+    across: float  # mm between the crosses
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """What --json gives."""
+        keys = ("name", "middle_z_mm", "from_last_mm", "x_mm", "y_mm", "z_mm", "lower_edge_y_mm")
+        seats = [
+            {key: cell if key == "name" else None if cell == "" else float(cell) for key, cell in zip(keys, row, strict=False)}
+            | {"rotation_deg": [float(a) for a in row[-1].split(",")]}
+            for row in self.rows
+        ]  # fmt: skip
+        return {
+            "seats": seats,
+            "files": [str(path) for path in self.files],
+            "pages": self.pages,
+            "crosses_mm": self.across,
+        }
+
+
+def print_jig(source: str | Path, out: str | Path, *, paper: tuple[float, float] | None = None) -> PrintedJig:
+    """Draw the base of the jig that a calibration.toml or rig-design.toml describes: its stand-offs and the target's seats.
+
+    Raises
+    ------
+    FileError, CalibrationError
+        A file without planes of known pose, or one whose target cannot be drawn.
+    ValueError
+        As `print_target`.
+    """
+    import tempfile
+
+    out = Path(out)
+    _require(out, paper)
+    text = _text_of(source)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(source)
+        if text is not None:
+            file = Path(folder) / "calibration.toml"
+            file.write_text(text, encoding="utf-8")
+        target, planes = read_target(file), planned_planes(file)
+    seats = [Seat(plane.name, plane.c_from_target) for plane in planes if plane.c_from_target is not None]
+    if not seats:
+        raise FileError(f"{source}: no [[plane]] has an origin; views held by hand need no jig")
+    try:
+        sheet = jig_sheet(target, seats)
+    except CalibrationError as error:
+        raise CalibrationError(f"{source}: {error}") from error
+    pages = _pages(out, sheet.drawing, paper)
+    return PrintedJig(sheet.rows, _write(pages, out, "jig"), len(pages), sheet.across)
+
+
+def _require(out: Path, paper: tuple[float, float] | None) -> None:
+    ending = out.suffix.lower()
+    if ending not in _ENDINGS:
+        raise ValueError(f"{out}: a target is written as .svg, .pdf or .dxf")
+    if paper is not None and ending == ".dxf":
+        raise ValueError("a DXF is one drawing: paper is for .svg and .pdf")
+    require_folder(out)
+
+
+def _pages(out: Path, drawing: Drawing, paper: tuple[float, float] | None) -> list[Drawing]:
+    pages = [drawing] if paper is None else tiled(drawing, paper)
+    if len(pages) > _MOST_PAGES:
+        raise FileError(f"{out}: {len(pages)} pages; at most {_MOST_PAGES} are written: use larger paper")
+    return pages
+
+
+def _text_of(source: str | Path) -> str | None:
+    """calibration.toml that a kind, or a rig-design.toml, stands for; None where ``source`` is one itself."""
     import tomllib
 
-    from scope.session import target_in
+    if str(source) in TEMPLATES:
+        return TEMPLATES[str(source)]
+    try:
+        content = tomllib.loads(Path(source).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None  # its reader says what is wrong
+    return planned_session(source)[0] if "jig" in content else None
 
-    target = target_in(toml, tomllib.loads(TEMPLATES[kind]))
+
+def _of_text(source: str, text: str, toml: Path) -> Target:
+    """Target of a calibration file that is to be written; ``FileError`` where another stands there."""
+    import tomllib
+
+    target = target_in(toml, tomllib.loads(text))
     if toml.exists():
         there = read_target(toml)
         if type(there) is not type(target) or there != target:
             raise FileError(
-                f"{toml}: is already there and describes another target than {kind!r}; name another -o, or draw that file's "
+                f"{toml}: is already there and describes another target than {source!r}; name another -o, or draw that file's "
                 f"target: scope target {toml}"
             )
     return target

@@ -34,11 +34,11 @@ def target_sheet(target: Target) -> Sheet:
     width, height = x1 - x0 + _LEFT + _RIGHT, y1 - y0 + _TOP + _BOTTOM
     shapes: list[Shape] = [moved(shape, _LEFT - x0, _TOP - y0) for shape in pattern.shapes]
     left, foot = _LEFT / 2, height - 17.0
-    across = _longest(width - left - _ARM - 2.0)
-    down = _longest(foot - _ARM - 2.0)
+    across = longest(width - left - _ARM - 2.0)
+    down = longest(foot - _ARM - 2.0)
     for x, y in ((left, foot), (left + across, foot), (left, foot - down)):
-        shapes += [Line(x - _ARM, y, x + _ARM, y), Line(x, y - _ARM, x, y + _ARM)]
-    shapes += _ruler(left, foot + 3.5, across)
+        shapes += cross(x, y)
+    shapes += ruler(left, foot + 3.5, across)
     shapes.append(Label(_LEFT + 32.0, 6.4, f"scope target: {pattern.title}", 2.4))
     shapes.append(Label(left, height - 4.5, _advice(across, down), 2.4))
     shapes += _axes(_LEFT, 5.5)
@@ -49,11 +49,17 @@ def _advice(across: float, down: float) -> str:
     return f"Print at 100 %. Crosses: {across:g} mm across, {down:g} mm down; measure, then --measured {across:g}"
 
 
-def _longest(room: float) -> float:
+def cross(x: float, y: float) -> list[Shape]:
+    """A cross to measure from."""
+    return [Line(x - _ARM, y, x + _ARM, y), Line(x, y - _ARM, x, y + _ARM)]
+
+
+def longest(room: float) -> float:
+    """Largest usual distance, mm, of two crosses that fits into ``room``."""
     return next((d for d in _DISTANCES if d <= room), _DISTANCES[-1])
 
 
-def _ruler(x: float, y: float, length: float) -> list[Shape]:
+def ruler(x: float, y: float, length: float) -> list[Shape]:
     """A ruler from (x, y) to the right: ticks a millimetre, numbers every 10 (20 on the long one)."""
     shapes: list[Shape] = [Line(x, y, x + length, y)]
     every = 20 if length > 100 else 10

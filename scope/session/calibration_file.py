@@ -246,6 +246,7 @@ class PlannedPlane:
     images: tuple[str, ...]
     laser: dict[str, tuple[str, ...]]  # by laser, "" for the only one; empty where the file asks for none
     background: dict[str, tuple[str, ...]]
+    c_from_target: Pose | None = None  # None: by hand
 
 
 def planned_planes(path: Path) -> tuple[PlannedPlane, ...]:
@@ -257,6 +258,7 @@ def planned_planes(path: Path) -> tuple[PlannedPlane, ...]:
             _patterns(section.images),
             _patterns_by_laser(section.laser),
             _patterns_by_laser(section.background),
+            None if section.origin is None else _stated(section.origin, section.rotation, MM[raw.units]),
         )
         for k, section in enumerate(raw.plane)
     )
@@ -369,12 +371,16 @@ def _lasers(path: Path, raw: CalibrationSection, mm: float) -> tuple[LaserPlan, 
     return tuple(plans)
 
 
+def _stated(origin: Vector, rotation: Vector, mm: float) -> Pose:
+    return Pose.from_rotation_vector(np.deg2rad(rotation), np.array(origin) * mm)
+
+
 def _plane(path: Path, section: PlaneSection, lasers: list[str], mm: float) -> PlanePlan:
     images = _images(path, section.images, "plane.images")
     name = section.name or images[0].stem
     pose = None
     if section.origin is not None:
-        pose = Pose.from_rotation_vector(np.deg2rad(section.rotation), np.array(section.origin) * mm)
+        pose = _stated(section.origin, section.rotation, mm)
     elif any(section.rotation):
         raise FileError(f"{path}: plane {name}: has a rotation and no origin; give both (jig) or neither (freehand)")
     listed = None

@@ -13,7 +13,7 @@ from benchmarks.targets import KINDS, raster, see, similarity
 from calibration.errors import CalibrationError, FileError
 from calibration.targets import Charuco, Chessboard, MarkerBoard, MarkerPlace, SpotGrid
 from cli.main import app
-from scope.printing import draw_pattern, print_target, target_sheet
+from scope.printing import draw_pattern, print_jig, print_target, target_sheet
 from scope.printing.tiles import MARGIN, tiled
 from scope.session import read_target
 
@@ -150,6 +150,48 @@ def test_what_cannot_be_drawn_is_refused_in_a_sentence(tmp_path):
     with pytest.raises(FileError, match="listed"):
         print_target(tmp_path / "listed.toml", tmp_path / "t.svg")
     assert not (tmp_path / "t.svg").exists()
+
+
+def test_the_base_of_a_jig_has_its_seats_where_the_file_says_them(tmp_path):
+    import ezdxf
+
+    runner = CliRunner()
+    file = tmp_path / "calibration.toml"
+    seats = [(340.0, 0.0), (400.0, 10.0), (440.0, 0.0)]
+    planes = "".join(
+        f'[[plane]]\nname = "w{z:g}"\nimages = "x.png"\norigin = [-9.0, -5.0, {z / 10}]\nrotation = [0.0, {a}, 0.0]\n'
+        for z, a in seats
+    )
+    file.write_text(BOARD.replace('"mm"', '"cm"').replace("20.0", "2.0") + planes)
+    done = runner.invoke(app, ["target", str(file), "-o", str(tmp_path / "t.svg"), "--jig", str(tmp_path / "j.dxf"), "--json", "-q"])  # fmt: skip
+    told = json.loads(done.stdout)["jig"]["seats"]
+    assert [seat["name"] for seat in told] == ["w340", "w400", "w440"]
+    assert [seat["z_mm"] for seat in told] == [340.0, 400.0, 440.0]
+    assert [seat["y_mm"] for seat in told] == [-50.0] * 3
+    lines = [e for e in ezdxf.readfile(tmp_path / "j.dxf").modelspace() if e.dxf.layer == "SEATS"]
+    ends = np.array([[[e.dxf.start.x, e.dxf.start.y], [e.dxf.end.x, e.dxf.end.y]] for e in lines])
+    assert ends[:, :, 0].mean(axis=1)[2] - ends[:, :, 0].mean(axis=1)[0] == pytest.approx(100.0)
+    lean = np.degrees(np.arctan2(np.ptp(ends[:, :, 0], axis=1), np.ptp(ends[:, :, 1], axis=1)))
+    np.testing.assert_allclose(lean, [0.0, 10.0, 0.0], atol=1e-6)
+    assert [seat["rotation_deg"][1] for seat in told] == pytest.approx([0.0, 10.0, 0.0])
+    file.write_text(BOARD + '[[plane]]\nimages = "x.png"\n')
+    refused = runner.invoke(app, ["target", str(file), "-o", str(tmp_path / "t.svg"), "--jig", str(tmp_path / "j.pdf")])
+    assert (refused.exit_code, "no [[plane]] has an origin" in refused.output) == (1, True)
+
+
+def test_a_designed_jig_is_drawn_with_the_calibration_file_that_fits_it(tmp_path):
+    from scope.session.commented import FILES
+
+    design = tmp_path / "rig-design.toml"
+    design.write_text(FILES["rig-design.toml"])
+    drawn = print_target(design, tmp_path / "t.svg")
+    assert drawn.toml == tmp_path / "t.toml"
+    assert read_target(drawn.toml) == SpotGrid(
+        15, 21, (12.0, 12.0), 4.5, "light", ((7, 10), (7, 12), (4, 10)), fiducial_diameter=6.8
+    )
+    jig = print_jig(design, tmp_path / "j.pdf", paper=(210.0, 297.0)).result
+    assert [seat["middle_z_mm"] for seat in jig["seats"]] == [360.0, 400.0, 440.0]
+    assert jig["pages"] > 1
 
 
 def test_the_command_tells_marks_size_and_pages(tmp_path):
