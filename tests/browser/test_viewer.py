@@ -128,7 +128,7 @@ def test_points_are_read_where_they_are_seen_and_measured(shown: Shown) -> None:
     time.sleep(0.3)
     picture = cv2.imdecode(np.frombuffer(shown.canvas.screenshot_as_png, np.uint8), cv2.IMREAD_COLOR_RGB).astype(int)
     low, high, outside = (picture[round(y) - 2 : round(y) + 3, round(x) - 2 : round(x) + 3].reshape(-1, 3).mean(axis=0)
-                          for x, y in (shown.at([-9.0, 0.0]), shown.at([9.0, 0.0]), shown.at([-9.0, 13.0])))  # fmt: skip
+                          for x, y in (shown.at([-9.0, 0.0]), shown.at([9.0, 0.0]), shown.at([-13.0, -9.0])))  # fmt: skip
     assert high[1] > low[1] + 40  # viridis: what is larger is lighter
     assert np.ptp(outside) < 16  # the ground is grey
 

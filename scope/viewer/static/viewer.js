@@ -120,20 +120,23 @@ class ScopeCloud extends HTMLElement {
     }
     if (this.waiting) return;
     this.waiting = true;
-    requestAnimationFrame(now => { this.waiting = false; this.paint(now); });
+    requestAnimationFrame(() => { this.waiting = false; this.paint(); });
   }
 
-  paint(now) {
+  paint() {
     const {view, cloud, renderer} = this, moves = Boolean(this.settling), uniforms = cloud.material.uniforms;
-    if (moves && this.last && now - this.last < 400) { // as many points as this machine turns at 20 to 50 pictures a second
-      if (now - this.last > 50) this.moving = Math.max(40000, this.moving * 0.8);
-      else if (now - this.last < 22) this.moving = Math.min(cloud.count, this.moving * 1.15);
-    }
-    this.last = now;
     const {drawn, within, share} = cloud.detail(view.frustum, moves ? this.moving : this.still);
     const ratio = renderer.getPixelRatio();
     uniforms.size.value = Math.min(7 * ratio, Math.max(1.6 * ratio, (1.25 * cloud.spacing * view.scale * ratio) / Math.sqrt(Math.max(share, 1e-3))));
+    const from = performance.now();
     renderer.render(this.world, view.camera);
+    if (moves) { // as many points as this machine turns at 20 to 40 pictures a second
+      const gl = renderer.getContext();
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
+      const took = performance.now() - from;
+      if (took > 40) this.moving = Math.max(20000, this.moving * Math.max(0.5, 30 / took));
+      else if (took < 15) this.moving = Math.min(Math.max(cloud.count, 20000), this.moving * 1.2);
+    }
     const {box, scene, parts, picked, theme} = this;
     this.overlay.draw(view, {...theme, layers: parts.layers, box, stretch: scene.stretch, centre: scene.centre, picked: picked.map(row => cloud.point(row)),
       distance: picked.length === 2 ? `${figure(this.distance, scene.decimals)} mm` : "", drawn: this.drawn, drawing: this.mode, cross: this.byKeys && this.active});
