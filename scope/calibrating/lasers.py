@@ -4,28 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 
 from calibration.camera import Camera
 from calibration.errors import CalibrationError, FileError
-from calibration.geometry import Array, Ints
+from calibration.geometry import Array
 from calibration.grouping import grouped
 from calibration.rays import PlaneMarks
 from calibration.sheet import Laser, StripePoints, fit_laser
-from ranging.background import Channel, Image, clipping_level, to_gray
-from ranging.stripe import Along, Stripe, StripeOptions, extract, find_along
+from ranging.background import Channel, Image, to_gray
+from ranging.stripe import Along
 from scope.calibrating.channels import Choice, candidates, choose
 from scope.calibrating.left_out import LeftOut, small
-from scope.calibrating.plates import LEAST, SHALLOWEST, Common, Light, Seen, common_sheet, crossing, seen_on, stripes_on
+from scope.calibrating.plates import SHALLOWEST, Common, Light, Seen, common_sheet, crossing, on_sheet, stands_still
+from scope.calibrating.reading import Look, Shot, completed, look_at, offers_of
 from scope.session import CalibrationPlan, LaserPlan, PlanePlan, mean_image, read_alike, shape_text
 
 _SAMPLE = 12  # views that choose the channel
-_SHARE = 0.25  # of the light on the plate of a jig, that must lie between the marks for the marks to bound it
-_MOST = 0.5  # of a stripe by hand, likewise
-_NEAR = 6.0  # px off a stripe's line, within which the fit of the sheet judges for itself
-_AGREED = 3  # a third of the views with a stripe must share a sheet
-_BAND = 8.0  # widths about a stripe's course, in which lines that showed other light are looked at again
+_AGREED = 0.5  # of the views with a stripe, that must share a sheet
+_SEEN = 0.25  # of all views, likewise
+_OTHER: dict[Along, Along] = {"rows": "columns", "columns": "rows"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,25 +44,6 @@ class FoundLasers:
     views: tuple[LaserView, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     choices: dict[str, Choice] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shot:
-    plane: PlanePlan
-    marks: PlaneMarks
-    images: tuple[Image, ...]  # repeats, as stored
-    background: Image | None  # mean
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Look:
-    """How the images of one laser are looked at."""
-
-    camera: Camera
-    channel: Channel
-    along: Along
-    options: StripeOptions
-    by_hand: bool
 
 
 def find_lasers(
@@ -101,7 +80,7 @@ def find_lasers(
     return found
 
 
-def _shot(plane: PlanePlan, marks: PlaneMarks, laser: str, size: tuple[int, int]) -> _Shot:
+def _shot(plane: PlanePlan, marks: PlaneMarks, laser: str, size: tuple[int, int]) -> Shot:
     images = read_alike(plane.lasers[laser], f"plane {plane.name}, laser {laser}")
     image = images[0]
     dark = None
@@ -118,25 +97,31 @@ def _shot(plane: PlanePlan, marks: PlaneMarks, laser: str, size: tuple[int, int]
             f"{plane.backgrounds[laser][0]}: {shape_text(dark)}, the laser image has {shape_text(image)}; take both with the "
             "same settings"
         )
-    return _Shot(plane, marks, tuple(images), dark)
+    return Shot(plane, marks, tuple(images), dark)
 
 
 def _fit(
-    plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_Shot], *, curved: bool | None
+    plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[Shot], *, curved: bool | None
 ) -> FoundLasers:
     by_hand = all(shot.plane.c_from_target is None for shot in shots)
-    choice, guide = _chosen_channel(plan, laser, camera, shots, by_hand=by_hand)
-    look = _look(laser, camera, shots, choice.channel, by_hand=by_hand)
-    views, common = _all_views(plan, look, shots)
-    courses = {} if common is None else common.chosen
-    if by_hand and guide != choice.channel:
-        shared = _all_views(plan, _look(laser, camera, shots, guide, by_hand=by_hand), shots)[1]
-        courses = courses if shared is None else shared.chosen | courses
-    _check_agreement(plan, laser, common)
+    choice, guide, along = _chosen_channel(plan, laser, camera, shots, by_hand=by_hand)
+    look = look_at(laser, camera, shots, choice.channel, by_hand=by_hand, along=along)
+    views = [offers_of(plan.plate, look, shot) for shot in shots]
+    common, courses = None, {}
+    if by_hand:
+        guided = [offers for offers, _ in views]
+        if guide != choice.channel:
+            seen = replace(look, channel=guide)
+            guided = [offers_of(plan.plate, seen, shot)[0] for shot in shots]
+        shared = common_sheet(guided)
+        _check_agreement(plan, laser, shared, guided)
+        if shared is not None:
+            courses = shared.chosen
+            common = shared if guide == choice.channel else on_sheet(shared.plane, [offers for offers, _ in views])
     stripes, used, left_out, taken = [], [], [], []
     for shot, (offers, everything) in zip(shots, views, strict=True):
         own, reason = _kept(plan, shot, offers, everything, common, laser.name)
-        kept = _completed(look, shot, own, courses.get(shot.plane.name)) if by_hand else own
+        kept = completed(look, shot, own, courses.get(shot.plane.name)) if by_hand else own
         if kept is None:
             left_out.append(_picture(laser.name, shot, everything.pixels, reason))
             continue
@@ -163,93 +148,78 @@ def _fit(
     return FoundLasers({laser.name: fitted}, tuple(used), tuple(left_out), {laser.name: choice})
 
 
-def _all_views(
-    plan: CalibrationPlan, look: _Look, shots: list[_Shot]
-) -> tuple[list[tuple[list[Seen], Light]], Common | None]:
-    """Stripes of all views, and the sheet that most share, where the views are held by hand."""
-    views = [_stripes(plan, look, shot) for shot in shots]
-    return views, common_sheet([offers for offers, _ in views]) if look.by_hand else None
-
-
-def _check_agreement(plan: CalibrationPlan, laser: LaserPlan, common: Common | None) -> None:
-    """Refuse a sheet that only a few views share, which some always do."""
+def _agree(common: Common | None, views: int) -> bool:
+    """Whether so many views share a sheet that it is not by chance, which two always do and three of many may."""
     if common is None:
-        return
+        return False
     agreed, total = len(common.chosen), len(common.chosen) + len(common.apart)
-    if agreed < 2 or agreed * _AGREED < total or (total > 3 and agreed < 3):
+    return agreed >= min(3, total) and agreed >= _AGREED * total and agreed >= _SEEN * views
+
+
+def _check_agreement(plan: CalibrationPlan, laser: LaserPlan, common: Common | None, views: list[list[Seen]]) -> None:
+    """Refuse light that keeps its pixels, and a sheet that only a few views share."""
+    lit = [offers for offers in views if offers]
+    if len(lit) < 2 or _agree(common, len(views)):
+        return
+    if stands_still(views):
         raise CalibrationError(
-            f"{plan.path}: laser {laser.name}: the stripes of {total} views lie on no common sheet of light ({agreed} agree): "
-            "laser and camera must not move against each other; name the laser's `channel`, dim other light, or give [target] plate"
+            f"{plan.path}: laser {laser.name}: the light on {len(lit)} of {len(views)} views keeps its pixels while the target moves, "
+            "so it is no sheet beside the camera: it lies on something behind the target, or the laser shines along the "
+            "camera's rays; shade it, give [target] plate, or move the laser aside"
         )
-
-
-def _look(laser: LaserPlan, camera: Camera, shots: list[_Shot], channel: Channel, *, by_hand: bool) -> _Look:
-    grays = [[to_gray(image, channel) for image in shot.images] for shot in shots]
-    darks = [None if shot.background is None else to_gray(shot.background, channel) for shot in shots]
-    along = _along([repeats[0] for repeats in grays], darks) if laser.along == "auto" else laser.along
-    options = StripeOptions(saturation=clipping_level([image for repeats in grays for image in repeats]))
-    return _Look(camera, channel, along, options, by_hand)
+    agreed = 0 if common is None else len(common.chosen)
+    raise CalibrationError(
+        f"{plan.path}: laser {laser.name}: the stripes of {len(lit)} views lie on no common sheet of light ({agreed} agree): "
+        "laser and camera must not move against each other; name the laser's `channel`, dim other light, or give [target] plate"
+    )
 
 
 def _chosen_channel(
-    plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[_Shot], *, by_hand: bool
-) -> tuple[Choice, Channel]:
-    """The channel of the least error on some of the views, and the one that shows the stripe on the most lines."""
+    plan: CalibrationPlan, laser: LaserPlan, camera: Camera, shots: list[Shot], *, by_hand: bool
+) -> tuple[Choice, Channel, Along]:
+    """The channel of the least error on some of the views, the one that shows the stripe on the most lines, and its run."""
     has_dark = all(shot.background is not None for shot in shots)
     images = [shot.images[0] for shot in shots]
     usual, tried = candidates(laser.channel, images, several=len(plan.lasers) > 1, laser_off=has_dark)
     if len(tried) < 2:
-        return Choice(usual, {}), usual
+        return Choice(usual, {}), usual, look_at(laser, camera, shots, usual, by_hand=by_hand).along
     some = [shots[k] for k in np.unique(np.linspace(0, len(shots) - 1, _SAMPLE).astype(int))]
     some = [replace(shot, images=shot.images[:1]) for shot in some]
-    looks = {channel: _look(laser, camera, some, channel, by_hand=by_hand) for channel in tried}
-    found: dict[Channel, dict[str, Seen]] = {}
-    for channel, look in looks.items():
-        common = common_sheet([_stripes(plan, look, shot)[0] for shot in some])
-        found[channel] = {} if common is None else common.chosen
-    guide = max(tried, key=lambda channel: (sum(len(s.line) for s in found[channel].values()), channel == usual))
-    if by_hand:
+    looks = {channel: look_at(laser, camera, some, channel, by_hand=by_hand) for channel in tried}
+    shared = {channel: _shared(plan, look, some) for channel, look in looks.items()}
+    guide = max(tried, key=lambda channel: (*_shown(shared[channel], some), channel == usual))
+    if by_hand and laser.along == "auto" and not _agree(shared[guide], len(some)):
+        turned = {channel: replace(look, along=_OTHER[look.along]) for channel, look in looks.items()}
+        again = {channel: _shared(plan, look, some) for channel, look in turned.items()}
+        other = max(tried, key=lambda channel: (*_shown(again[channel], some), channel == usual))
+        if _shown(again[other], some) > _shown(shared[guide], some):
+            looks, shared, guide = turned, again, other
+    along, sheet = looks[guide].along, shared[guide]
+    found = {channel: {} if common is None else dict(common.chosen) for channel, common in shared.items()}
+    if by_hand and sheet is not None:
+        each = {shot.plane.name: shot for shot in some}
         for channel, look in looks.items():
-            if look.along != looks[guide].along:
-                continue
-            each = {shot.plane.name: shot for shot in some}
+            right = {} if look.along != along else found[channel]
+            right = on_sheet(sheet.plane, [[stripe] for stripe in right.values()]).chosen
             more = {
-                name: _completed(look, each[name], found[channel].get(name), course)
-                for name, course in found[guide].items()
+                name: completed(replace(look, along=along), each[name], right.get(name), course)
+                for name, course in sheet.chosen.items()
             }
-            found[channel] |= {name: stripe for name, stripe in more.items() if stripe is not None}
-    return choose(usual, {channel: list(stripes.values()) for channel, stripes in found.items()}, guide), guide
+            found[channel] = right | {name: stripe for name, stripe in more.items() if stripe is not None}
+    return choose(usual, {channel: list(stripes.values()) for channel, stripes in found.items()}, guide), guide, along
 
 
-def _stripes(plan: CalibrationPlan, look: _Look, shot: _Shot) -> tuple[list[Seen], Light]:
-    """Stripes that may lie on the plate, and all light of the image."""
-    dark = None if shot.background is None else to_gray(shot.background, look.channel)
-    light = _averaged(
-        [
-            extract(to_gray(image, look.channel), along=look.along, options=look.options, background=dark)
-            for image in shot.images
-        ]
-    )
-    seen = seen_on(look.camera, shot.marks, light)
-    offers = stripes_on(seen, shot.marks, plan.plate)
-    if plan.plate == "auto" and look.by_hand:
-        offers = [_surest(seen, stripe) for stripe in offers]
-    elif plan.plate == "auto" and seen.marked.sum() >= max(LEAST, _SHARE * len(seen.line)):
-        offers = stripes_on(seen, shot.marks, "marks")  # on a jig the rays hold best where its marks are
-    return offers, light
+def _shared(plan: CalibrationPlan, look: Look, shots: list[Shot]) -> Common | None:
+    return common_sheet([offers_of(plan.plate, look, shot)[0] for shot in shots])
 
 
-def _surest(seen: Seen, stripe: Seen) -> Seen:
-    """The light between the marks along a stripe, where most of the stripe lies there: there the plate is known to be flat."""
-    if stripe.marked.sum() < max(LEAST, _MOST * len(stripe.line)):
-        return stripe
-    middle = stripe.flat.mean(axis=0)
-    across = np.linalg.svd(stripe.flat - middle, full_matrices=False)[2][1]
-    return seen.select(seen.marked & (np.abs((seen.flat - middle) @ across) < _NEAR * seen.scale))
+def _shown(common: Common | None, shots: list[Shot]) -> tuple[bool, int]:
+    """How much of a laser a channel shows: whether the views agree, and on how many lines."""
+    return _agree(common, len(shots)), 0 if common is None else sum(len(s.line) for s in common.chosen.values())
 
 
 def _kept(
-    plan: CalibrationPlan, shot: _Shot, offers: list[Seen], everything: Light, common: Common | None, laser: str
+    plan: CalibrationPlan, shot: Shot, offers: list[Seen], everything: Light, common: Common | None, laser: str
 ) -> tuple[Seen | None, str]:
     """The stripe of a view that is used, or why there is none."""
     if not offers:
@@ -269,79 +239,10 @@ def _kept(
     )
 
 
-def _picture(laser: str, shot: _Shot, everything: Array, reason: str) -> LeftOut:
+def _picture(laser: str, shot: Shot, everything: Array, reason: str) -> LeftOut:
     picture, scale = small(shot.images[0])
     found = everything[np.isfinite(everything).all(axis=1)] * scale
     return LeftOut("laser", shot.plane.name, reason, laser=laser, image=picture, pixels=found)
-
-
-def _completed(look: _Look, shot: _Shot, own: Seen | None, course: Seen | None) -> Seen | None:
-    """A view's stripe with the lines that had other light in this channel looked at again, near the stripe's course.
-
-    The course is that of the channel that shows most of the stripe. Lines without an answer of their own stay without.
-    """
-    across = 1 if look.along == "rows" else 0
-    known = [stripe for stripe in (own, course) if stripe is not None]
-    if not known or min(len(stripe.line) for stripe in known) < LEAST:
-        return own
-    line = np.concatenate([stripe.line for stripe in known])
-    place = np.concatenate([stripe.pixels[:, across] for stripe in known])
-    lines = np.arange(int(line.min()), int(line.max()) + 1)
-    missing = lines if own is None else np.setdiff1d(lines, own.line)
-    if len(missing) < 0.1 * len(lines):
-        return own
-    middle, half = float(lines.mean()), max(0.5 * len(lines), 1.0)
-    fitted = np.polyfit((line - middle) / half, place, 2)
-    expected = np.polyval(fitted, (lines - middle) / half)
-    band = int(np.clip(_BAND * np.nanmedian(known[-1].width), 10, 100))
-    dark = None if shot.background is None else to_gray(shot.background, look.channel)
-    again = [
-        extract(
-            _banded(to_gray(image, look.channel), lines, expected, band, look.along),
-            along=look.along,
-            options=look.options,
-            background=None if dark is None else _banded(dark, lines, expected, band, look.along),
-        )
-        for image in shot.images
-    ]
-    more = seen_on(look.camera, shot.marks, _averaged(again))
-    off = np.abs(more.pixels[:, across] - np.polyval(fitted, (more.line - middle) / half))
-    more = more.select(np.isin(more.line, missing) & (off < np.maximum(1.0, 3.0 * more.sigma)))
-    if own is None:
-        return more if len(more.line) >= LEAST else None
-    return _joined(own, more)
-
-
-def _banded(image: Image, lines: Ints, expected: Array, band: int, along: Along) -> Image:
-    """Image in which each of some lines shows its own median but near the expected place; all other lines show nothing."""
-    across = image.T if along == "rows" else image
-    out = np.zeros_like(across)
-    for line, place in zip(lines, expected, strict=True):
-        low, high = max(int(place) - band, 0), max(int(place) + band + 1, 0)
-        part = across[line, low:high]
-        if len(part):
-            out[line] = np.median(part)
-            out[line, low:high] = part
-    return np.ascontiguousarray(out.T if along == "rows" else out)
-
-
-def _joined(first: Seen, second: Seen) -> Seen:
-    order = np.argsort(np.concatenate([first.line, second.line]))
-    pixels, sigma, width, line, points, direction, flat, marked = (
-        np.concatenate([getattr(first, name), getattr(second, name)])[order]
-        for name in ("pixels", "sigma", "width", "line", "points", "direction", "flat", "marked")
-    )
-    return replace(
-        first,
-        pixels=pixels,
-        sigma=sigma,
-        width=width,
-        line=line,
-        points=points,
-        direction=direction,
-        flat=flat,
-        marked=marked,
-    )
 
 
 def _points(camera: Camera, stripe: Seen, along: Along) -> StripePoints:
@@ -349,33 +250,3 @@ def _points(camera: Camera, stripe: Seen, along: Along) -> StripePoints:
     across = 1 if along == "rows" else 0
     moved = np.linalg.norm(camera.shift(stripe.pixels, stripe.points)[:, :, across], axis=1)
     return StripePoints(stripe.name, stripe.points, moved * stripe.sigma)
-
-
-def _along(images: list[Image], darks: list[Image | None]) -> Along:
-    votes = [
-        find_along(image if dark is None else np.asarray(cv2.subtract(image, dark)))
-        for image, dark in zip(images, darks, strict=True)
-    ]
-    return max(("rows", "columns"), key=votes.count)
-
-
-def _averaged(repeats: list[Stripe]) -> Light:
-    """A stripe seen several times; NaN where no repeat has an answer.
-
-    Positions are averaged, not images: a mean of clipped images would be clipped and not know it.
-    """
-    position = np.array([stripe.position for stripe in repeats])
-    weight = np.where(np.isfinite(position), 1.0 / np.array([stripe.sigma for stripe in repeats]) ** 2, 0.0)
-    total = weight.sum(axis=0)
-    mean = np.divide(np.nansum(weight * position, axis=0), total, out=np.full_like(total, np.nan), where=total > 0)
-    sigma = np.divide(1.0, np.sqrt(total), out=np.full_like(total, np.nan), where=total > 0)
-    widths = np.where(np.isfinite(position), [stripe.width for stripe in repeats], np.nan)
-    width = np.where(total > 0, widths[0] if len(repeats) == 1 else _middle(widths), np.nan)
-    return Light(replace(repeats[0], position=mean).pixels, sigma, width)
-
-
-def _middle(values: Array) -> Array:
-    """Mean over repeats (k, N) of those that are known; NaN where none is."""
-    known = np.isfinite(values).sum(axis=0)
-    total = np.nansum(values, axis=0)
-    return np.asarray(np.divide(total, known, out=np.full(len(total), np.nan), where=known > 0))

@@ -23,6 +23,8 @@ _OFF = 1.0  # px that light of a stripe may lie off its straight line, where its
 _GAP = 0.35  # of the extent of the marks, that may lie dark within a stripe
 _LINES = 3  # straight stripes that are tried in a view
 _DRAWS = 400
+_BESIDE = 0.5  # of a vote, that a view has whose stripe lies beside the marks, where there may be no plate
+_STILL = 0.8  # of the stripes of a sheet, that may as well keep their pixels as lie on it
 _APART = 2.5  # px off the common sheet, beyond which a stripe is not of it
 SHALLOWEST = (
     0.02  # sine of the angle between rays and a sheet (1.1 degrees), below which the light may as well stand still
@@ -172,7 +174,8 @@ def common_sheet(views: Sequence[list[Seen]]) -> Common | None:
     Pairs of stripes of two views give planes (RANSAC, at random where there are many); a view agrees where both ends of one of
     its stripes lie within 2.5 px of the plane. A view agrees with what most say, so half of the views may show other light.
     Light that keeps its pixels while the target moves (a stripe on the wall behind it, a window frame) spans a plane through the
-    camera in which the rays themselves lie: no sheet that anything could be ranged with, so such planes are not counted.
+    camera in which the rays themselves lie: no sheet that anything could be ranged with, so such planes are not counted. A view
+    whose stripe lies beside the marks has half a vote: between them there surely is a plate.
     """
     stripes = [(k, stripe) for k, view in enumerate(views) for stripe in view]
     if len(stripes) < 2:
@@ -186,41 +189,77 @@ def common_sheet(views: Sequence[list[Seen]]) -> Common | None:
         return None
     if len(pairs) > 4 * _DRAWS:
         pairs = np.random.default_rng(5).permutation(pairs)[: 4 * _DRAWS]
-    best, votes = None, (0, 0.0)
+    worth = np.array([1.0 if 2 * stripe.marked.sum() >= len(stripe.line) else _BESIDE for _, stripe in stripes])
+    best, votes = None, (0.0, 0.0)
     for a, b in pairs:
         plane = _through(ends[a], ends[b])
         if plane is None or max(crossing(plane, stripes[a][1]), crossing(plane, stripes[b][1])) < SHALLOWEST:
             continue
         near = np.abs(ends @ plane.normal - plane.offset).max(axis=1) < tolerance
-        agreeing = (len(set(owner[near].tolist())), float(count[near].sum()))
-        if agreeing > votes:
+        of_view = np.zeros(len(views))
+        np.maximum.at(of_view, owner[near], worth[near])
+        agreeing = (float(of_view.sum()), float(count[near].sum()))
+        if agreeing > votes and not _stands_still(ends[near], tolerance[near]):
             best, votes = plane, agreeing
     return None if best is None else _settled(best, views)
 
 
-def _settled(plane: Plane, views: Sequence[list[Seen]]) -> Common:
-    """Stripes of views on a plane, fitted to them again."""
+def _stands_still(ends: Array, tolerance: Array) -> bool:
+    """Whether stripes (s, 3, 3) mm keep their pixels: they lie in a plane through the camera as well as in any other."""
+    normal = np.linalg.svd(ends.reshape(-1, 3) / np.linalg.norm(ends.reshape(-1, 3), axis=1)[:, None])[2][2]
+    return bool((np.abs(ends @ normal).max(axis=1) < tolerance).mean() > _STILL)
+
+
+def on_sheet(plane: Plane, views: Sequence[list[Seen]]) -> Common:
+    """Of each view the longest stripe on a sheet, or how far its nearest one lies off."""
     chosen: dict[str, Seen] = {}
     apart: dict[str, float] = {}
-    for _ in range(4):
-        chosen, apart = {}, {}
-        for view in views:
-            if not view:
-                continue
-            off = [float(np.median(np.abs(plane.distance(stripe.points)))) for stripe in view]
-            near = int(np.argmin(off))
-            if off[near] < _APART * view[near].scale:
-                chosen[view[near].name] = view[near]
-            else:
-                apart[view[near].name] = off[near]
-        if len(chosen) < 2:
+    for view in views:
+        if not view:
+            continue
+        off = np.array([float(np.median(np.abs(plane.distance(stripe.points)))) for stripe in view])
+        near = [stripe for stripe, mm in zip(view, off, strict=True) if mm < _APART * stripe.scale]
+        if near:
+            longest = max(near, key=lambda stripe: len(stripe.line))
+            chosen[longest.name] = longest
+        else:
+            apart[view[0].name] = float(off.min())
+    return Common(plane, chosen, apart)
+
+
+def _settled(plane: Plane, views: Sequence[list[Seen]]) -> Common:
+    """Stripes of views on a plane, fitted to them again."""
+    found = on_sheet(plane, views)
+    for _ in range(3):
+        if len(found.chosen) < 2:
             break
-        weights = np.concatenate([np.full(len(s.line), 1.0 / len(s.line)) for s in chosen.values()])
+        stripes = found.chosen.values()
+        weights = np.concatenate([np.full(len(s.line), 1.0 / len(s.line)) for s in stripes])
         try:
-            plane = fit_plane(np.concatenate([s.points for s in chosen.values()]), weights=weights)
+            plane = fit_plane(np.concatenate([s.points for s in stripes]), weights=weights)
         except ValueError:
             break
-    return Common(plane, chosen, apart)
+        found = on_sheet(plane, views)
+    return found
+
+
+def stands_still(views: Sequence[list[Seen]]) -> bool:
+    """Whether in most of the views some light keeps its pixels while the target moves."""
+    lit = [view for view in views if view]
+    if len(lit) < 2:
+        return False
+    ends = [np.stack([_ends(stripe) for stripe in view]) for view in lit]
+    rays = [of / np.linalg.norm(of, axis=2, keepdims=True) for of in ends]
+    best = 0
+    for view in rays:
+        for one in view:
+            normal = np.linalg.svd(one)[2][2]
+            still = [
+                (np.abs(of @ normal).max(axis=1) < [_APART * s.scale for s in stripes]).any()
+                for of, stripes in zip(ends, lit, strict=True)
+            ]
+            best = max(best, sum(still))
+    return best > _STILL * len(lit)
 
 
 def crossing(plane: Plane, stripe: Seen) -> float:
