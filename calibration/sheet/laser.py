@@ -99,13 +99,15 @@ def fit_laser(
     curved : bool, optional
         Whether the sheet is curved. Without it, it is where four planes or more show a quadratic part of more than
         five standard errors that also takes 30 % off the leave-one-plane-out variance. With five planes, a third and
-        a fourth order may follow, where each takes another 30 % off: thick tilted glass bends a sheet so.
+        a fourth order may follow, where each takes another 30 % off: thick tilted glass bends a sheet so. False also says
+        that the planes' places were estimated, so that the points of one are off together: see below.
 
     Returns
     -------
     Laser
         What the shape of the sheet leaves unexplained along the stripes, beyond the noise of the points, is part of the
-        covariance: it enters as an uncertainty of the offset.
+        covariance: it enters as an uncertainty of the offset. With ``curved`` False the jackknife over three planes or more
+        (Efron and Stein, Ann. Statist. 9, 1981) takes its place in directions in which it says more than noise of the points can.
 
     Raises
     ------
@@ -131,9 +133,10 @@ def fit_laser(
         for s, loo in zip(seen, left_out, strict=True)
     )
     known = [loo for loo in left_out if np.isfinite(loo)]
+    covariance = _with_views(best, seen) if curved is False else best.covariance
     valley, error = (0.0, np.inf) if quadratic is None else quadratic.flatness()
     return Laser(
-        name, best.sheet, best.frame, best.covariance, np.full(3, np.nan) if origin is None else origin, along, channel,
+        name, best.sheet, best.frame, covariance, np.full(3, np.nan) if origin is None else origin, along, channel,
         best.rms, float(np.median(known)) if known else float("nan"), valley, error, int(best.used.sum()), planes,
     )  # fmt: skip
 
@@ -158,6 +161,30 @@ def _left_out(name: str, stripes: list[StripePoints], k: int, *, order: int) -> 
     except CalibrationError:
         return float("nan")
     return _robust_rms(fit.sheet.distance(stripes[k].points), 0.0)
+
+
+def _with_views(fit: _Fit, stripes: list[StripePoints]) -> Array:
+    """Covariance (3, 3) of a flat sheet: of its fit, or as the fits that leave one plane out differ, where that is more than by chance."""
+    others = []
+    for k in range(len(stripes)):
+        try:
+            plane = _Fit.of(fit.name, [s for i, s in enumerate(stripes) if i != k], order=1).sheet
+        except CalibrationError:
+            continue
+        plane, normal = _flat(plane), _flat(fit.sheet).normal
+        slope = -fit.frame.reach * (fit.frame.axes @ plane.normal)
+        others.append(np.append(slope, plane.offset - fit.frame.centre @ plane.normal) / (normal @ plane.normal))
+    if len(others) < 3:
+        return fit.covariance
+    off = np.array(others) - np.mean(others, axis=0)
+    jackknife = (len(others) - 1) / len(others) * off.T @ off
+    values, vectors = np.linalg.eigh(fit.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 1e-12 * values.max()))
+    whitened = np.linalg.solve(root, np.linalg.solve(root, jackknife).T)
+    times, directions = np.linalg.eigh(whitened)
+    grown = root @ directions
+    chance = 1.0 + 6.0 * np.sqrt(2.0 / (len(others) - 1))  # what independent noise alone may give
+    return np.asarray((grown * np.where(times > chance, times, 1.0)) @ grown.T)
 
 
 def _robust_rms(distances: Array, scale: float) -> float:
