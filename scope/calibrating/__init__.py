@@ -2,7 +2,7 @@
 
 In: a calibration file or a `CalibrationSession`.
 Out: `Calibration`: the rig, the figures of both analyses, faults, what was left out and why, passed or not.
-Read: run, marks, beside, plates, channels, lasers, stages, stage_scale, left_out, verdict, verifying.
+Read: run, marks, beside, plates, reading, channels, lasers, stages, stage_scale, left_out, verdict, verifying.
 """
 
 from scope.calibrating.left_out import small
