@@ -30,6 +30,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
     app.command()(calibrate)
     app.command()(verify)
+    app.command()(correct)
 
 
 def calibrate(
@@ -136,3 +137,35 @@ def _order(text: str) -> Literal["auto", "linear", "paper"] | int:
     if text.isdigit() and 1 <= int(text) <= 9:
         return int(text)
     raise typer.BadParameter(f"{text!r}: use auto, linear, paper or a degree from 1 to 9", param_hint="--order")
+
+
+def correct(
+    cloud: Annotated[Path, typer.Argument(help="A scan (.ply) with the artefact in it, made with this rig.")],
+    artefact: Annotated[Path, typer.Option("--artefact", "-a", help="artefact.toml: its mesh and uncertainty.")],
+    rig: Annotated[Path, typer.Option("--rig", "-r", help="The rig that the scan was made with.")] = Path("rig.json"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="The corrected rig.")] = Path("rig-corrected.json"),
+    allow_edited: AllowEdited = False,
+    report: Report = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Put a rig's scale and tilt right by one scan of an artefact: what calibration by planes cannot see."""
+    from calibration.atomic import require_folder, write_text
+    from calibration.rig import Rig
+    from scope.cloud import ScanCloud
+    from scope.watch import correct_rig, correction_page, correction_result, correction_text, read_artefact
+
+    with user_errors():
+        require_folder(out, report)
+        plan = read_artefact(artefact)
+        scan = ScanCloud.load(cloud)
+        found = correct_rig(Rig.load(rig, allow_edited=allow_edited), scan, plan, str(cloud))
+        found.rig.save(out)
+        say(f"wrote {out}", quiet=quiet)
+        if report is not None:
+            write_text(report, correction_page(found, scan.points))
+            say(f"wrote {report}", quiet=quiet)
+    emit(correction_result(found), as_json=as_json, text=correction_text(found))
+    if not found.rig.verification.passed:
+        say("the rig was not verified before, and is not now", quiet=quiet)
+        raise typer.Exit(EXIT_NOT_TO_BE_USED)

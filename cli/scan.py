@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -23,6 +24,11 @@ from cli.console import (
     write_init,
     write_page,
 )
+
+if TYPE_CHECKING:
+    from calibration.rig import Rig
+    from scope.scanning import Scan
+    from scope.watch import WatchPlan
 
 Method = Literal["auto", "centroid", "gaussian", "ridge"]
 Which = Literal["strongest", "first", "last", "continuous"]
@@ -68,6 +74,10 @@ def scan(
         bool, typer.Option("--allow-unverified", help="Exit 0 although the rig is not verified.")
     ] = False,
     allow_edited: AllowEdited = False,
+    watch: Annotated[
+        Path | None,
+        typer.Option("--watch", help="artefact.toml: an object of known shape in the scan; checks it and tells drift."),
+    ] = None,
     no_history: NoHistory = False,  # noqa: ARG001  (its callback acts)
     init: Annotated[bool, typer.Option("--init", help="Write a commented capture.toml to fill in.")] = False,
     report: Report = None,
@@ -88,6 +98,7 @@ def scan(
 
     with user_errors():
         require_folder(report)
+        artefact = None if watch is None else _artefact(watch)
         calibrated = Rig.load(rig, allow_edited=allow_edited)
         if not calibrated.sealed:
             say_unsealed(rig, quiet=quiet)
@@ -109,12 +120,20 @@ def scan(
             camera=calibrated.camera_id,
         )
         say(f"wrote {out}", quiet=quiet)
-        write_page(report, lambda: scan_page(found, capture), [capture, rig], quiet=quiet)
-    emit(scan_result(found), as_json=as_json, text=scan_text(found), inputs=[capture, rig])
+        seen = None if artefact is None else _watched(artefact, found, calibrated, out, quiet=quiet)
+        rows = seen.rows if seen else ()
+        write_page(report, lambda: scan_page(found, capture, artefact=rows), [capture, rig], quiet=quiet)
+    told, text = scan_result(found), scan_text(found)
+    if seen is not None:
+        told, text = {**told, "watch": seen.result}, f"{text}\n{seen.text}"
+    emit(told, as_json=as_json, text=text, inputs=[capture, rig])
     if found.why_incomplete:
         say(f"incomplete: {found.why_incomplete}; go on with --resume", quiet=quiet)
     if found.troubles:
         say("the scan contradicts its [motion]: do not use this cloud before that is put right", quiet=quiet)
+        raise typer.Exit(EXIT_NOT_TO_BE_USED)
+    if seen is not None and not seen.good:
+        say("the artefact beside the part does not bear this scan out: do not use this cloud", quiet=quiet)
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
     if not found.verified and not allow_unverified:
         say(
@@ -132,6 +151,46 @@ def _origin(capture: Path, rig: Path) -> tuple[str, ...]:
     plan = read_capture(capture)
     frames = [*plan.images, *([plan.video] if plan.video is not None else []), *plan.background]
     return origin_of([capture, rig], frames=frames).lines
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What an artefact says of a scan, as it is told."""
+
+    result: dict[str, Any]
+    text: str
+    rows: list[list[str]]
+    good: bool
+
+
+def _artefact(path: Path) -> WatchPlan:
+    from scope.watch import read_artefact
+
+    return read_artefact(path)
+
+
+def _watched(plan: WatchPlan, found: Scan, rig: Rig, out: Path, *, quiet: bool) -> _Seen:
+    """Check a scan by its artefact, beside the earlier ones of the same rig and artefact."""
+    from calibration.errors import ScopeError
+    from scope.history import journal_beside
+    from scope.watch import drift_of, watch, watch_figures, watch_result, watch_rows, watch_text
+
+    try:
+        seen = watch(plan, found.cloud, pinhole=rig.camera.model == "pinhole")
+    except ScopeError as error:
+        note("watch", out, {}, passed=False, rig=rig.sha256, camera=plan.name)
+        why = " ".join(str(error).split())
+        return _Seen({"artefact": plan.name, "decision": None, "why": why}, f"artefact: NOT CHECKED: {why}", [["not checked", why, "-"]], False)  # fmt: skip
+    journal = journal_beside(out)
+    records = [] if journal is None else journal.records(kind="watch")
+    earlier = [r for r in records if r.rig == rig.sha256 and r.camera == plan.name and r.figures]
+    figures = watch_figures(seen)
+    drift = drift_of(figures, earlier)
+    good = seen.decision in {"pass", None}
+    note("watch", out, figures, passed=good, rig=rig.sha256, camera=plan.name)
+    if drift:
+        say(f"drift: {drift[0].text}", quiet=quiet)
+    return _Seen(watch_result(seen, drift), watch_text(seen, drift), watch_rows(seen, drift), good)
 
 
 def simulate(

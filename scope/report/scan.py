@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -88,8 +88,11 @@ def _agreement_text(pair: Agreement) -> str:
     )
 
 
-def scan_page(found: Scan, capture: str | Path) -> str:
-    """One self-contained HTML page: the cloud to be turned, the reasons, sigma, and the hardest frames."""
+def scan_page(found: Scan, capture: str | Path, *, artefact: Sequence[Sequence[str]] = ()) -> str:
+    """One self-contained HTML page: the cloud to be turned, the reasons, sigma, and the hardest frames.
+
+    ``artefact``: rows (what, value, U) that an artefact beside the part says of this scan.
+    """
     page, cloud = Page(f"SCOPE scan of {Path(capture).name}"), found.cloud
     level, text = (
         ("good", "Complete, from a verified rig")
@@ -119,6 +122,9 @@ def scan_page(found: Scan, capture: str | Path) -> str:
         page.heading("Where two lasers see one surface")
         for pair in found.agreement:
             page.text(f"{pair.first} and {pair.second}: {_agreement_text(pair)}.")
+    if artefact:
+        page.heading("The artefact beside the part")
+        page.table(("what", "value", "U (k = 2)"), artefact)
     add_uncertainty(page, cloud)
     _add_hard_frames(page, found, Path(capture))
     page.about(
