@@ -150,7 +150,7 @@ def correct(
     quiet: Quiet = False,
 ) -> None:
     """Put a rig's scale and tilt right by one scan of an artefact: what calibration by planes cannot see."""
-    from calibration.atomic import require_folder, write_text
+    from calibration.atomic import require_folder
     from calibration.rig import Rig
     from scope.cloud import ScanCloud
     from scope.watch import correct_rig, correction_page, correction_result, correction_text, read_artefact
@@ -162,10 +162,8 @@ def correct(
         found = correct_rig(Rig.load(rig, allow_edited=allow_edited), scan, plan, str(cloud))
         found.rig.save(out)
         say(f"wrote {out}", quiet=quiet)
-        if report is not None:
-            write_text(report, correction_page(found, scan.points))
-            say(f"wrote {report}", quiet=quiet)
-    emit(correction_result(found), as_json=as_json, text=correction_text(found))
+        write_page(report, lambda: correction_page(found, scan.points), [cloud, artefact, rig], quiet=quiet)
+    emit(correction_result(found), as_json=as_json, text=correction_text(found), inputs=[cloud, artefact, rig])
     if not found.rig.verification.passed:
         say("the rig was not verified before, and is not now", quiet=quiet)
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
