@@ -11,11 +11,11 @@ import numpy as np
 from calibration.errors import FileError
 from calibration.rays import PinholeCamera
 from calibration.rig import Rig, sha256_of
-from calibration.stretched import stretched
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
 from scope.watch.artefact_file import WatchPlan
 from scope.watch.run import Watched, watch
+from scope.watch.stretched import stretched
 
 
 @dataclass(frozen=True, slots=True, eq=False)

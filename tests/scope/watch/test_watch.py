@@ -15,12 +15,11 @@ from benchmarks.scale import block
 from calibration.errors import FileError
 from calibration.geometry import Pose
 from calibration.rig import Rig
-from calibration.stretched import stretched
 from cli.main import app
 from scope.cloud import ScanCloud, Sensors
 from scope.errors import MeasurementError
 from scope.history import Record
-from scope.watch import drift_of, read_artefact, watch
+from scope.watch import drift_of, read_artefact, stretched, watch
 
 NOISE = 0.01
 SHEET = np.array([0.0, 0.0, 340.0]), np.array([-0.06, -0.91, 0.41])  # a point and the normal of the sheet, C
