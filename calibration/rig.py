@@ -14,7 +14,7 @@ import numpy as np
 from calibration import checked
 from calibration.atomic import write_text
 from calibration.errors import FileError
-from calibration.geometry import Plane, Pose
+from calibration.geometry import Array, Plane, Pose
 from calibration.notebook import Picture, Shown, Summary, scatter
 from calibration.rays import Domain, PinholeCamera, PlaneMap, RayField, TwoPlaneCamera, exponents
 from calibration.seal import altered, sealed
@@ -216,10 +216,11 @@ def _plain(value: Any) -> Any:
 
 def _rig(content: dict[str, Any], digest: str) -> Rig:
     verdict = content["verification"]
+    camera = _camera(content["camera"])
     return Rig(
-        camera=_camera(content["camera"]),
-        lasers={str(name): _laser(item) for name, item in content["lasers"].items()},
-        stages=checked.each(content["stages"], _stage),
+        camera=camera,
+        lasers={str(name): _laser(item, camera) for name, item in content["lasers"].items()},
+        stages=checked.each(content["stages"], lambda item: _stage(item, camera)),
         verification=Verification(
             verdict["passed"] is True, str(verdict["why"]), checked.each(verdict["faults"], dict), checked.each(verdict["planes"], _told),
             checked.number(verdict["interplane_px"]),
@@ -302,7 +303,7 @@ def _frame(content: dict[str, Any]) -> SheetFrame:
     )
 
 
-def _laser(content: dict[str, Any]) -> Laser:
+def _laser(content: dict[str, Any], camera: AnyCamera) -> Laser:
     terms = len(content["covariance"])
     order_of(terms)
     return Laser(
@@ -314,7 +315,13 @@ def _laser(content: dict[str, Any]) -> Laser:
             content["planes"],
             lambda p: PlaneOfLight(str(p["plane"]), int(p["n"]), checked.number(p["rms_mm"]), checked.number(p["loo_mm"])),
         ),
+        _coupling(content.get("coupling"), terms, camera), checked.number(content.get("local_mm")),
     )  # fmt: skip
+
+
+def _coupling(content: Any, terms: int, camera: AnyCamera) -> Array:
+    """How a sheet or a stage follows the camera; rigs of a jig or of earlier versions have none."""
+    return checked.array(content, terms, len(camera.covariance)) if content else np.zeros((0, 0))
 
 
 def _sheet(content: dict[str, Any]) -> Sheet:
@@ -326,10 +333,10 @@ def _sheet(content: dict[str, Any]) -> Sheet:
     return Plane(checked.unit(content["normal"]), float(content["offset"]))
 
 
-def _stage(content: dict[str, Any]) -> Stage:
+def _stage(content: dict[str, Any], camera: AnyCamera) -> Stage:
     if content["kind"] not in {"linear", "turntable"}:
         raise ValueError(f"stage {content['kind']!r}")
     return Stage(
         content["kind"], checked.unit(content["direction"]), checked.array(content["point"], 3), checked.number(content["direction_sigma"]),
-        checked.number(content["scale"]), checked.number(content["rms_mm"]),
+        checked.number(content["scale"]), checked.number(content["rms_mm"]), _coupling(content.get("coupling"), 6, camera),
     )  # fmt: skip

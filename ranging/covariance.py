@@ -25,7 +25,8 @@ class PointCovariance:
     """Covariance of N points, in two parts that must not be added where points are averaged.
 
     ``parameters`` is the covariance of the P parameters of the calibration: those of the camera (`Camera.covariance`), then
-    those of the lasers (`Laser.covariance`). Points i and k share the covariance
+    those of the lasers (`Laser.covariance`), to which the camera's
+    move a laser by its ``coupling``. Points i and k share the covariance
     ``jacobian[i] @ parameters @ jacobian[k].T``.
     """
 
@@ -75,6 +76,8 @@ def propagate(
         rays = camera.jacobian(seen, x)
         by_camera = rays - view[:, :, None] * (np.einsum("ni,nip->np", normal, rays) / steep[:, None])[:, None, :]
         by_laser = view[:, :, None] * (laser.lift(x) / steep[:, None])[:, None, :]
+        if laser.coupling.size:
+            by_camera += by_laser @ laser.coupling
         by_all = np.concatenate([by_camera, by_laser], axis=2)
         calibration[rows] = by_all @ parameters @ by_all.transpose(0, 2, 1)
         if kept is not None:

@@ -62,7 +62,7 @@ def triangulate(
     Triangulated
         ``sigma`` is |n . dX/dp| sigma_px / |n . d|: moving the pixel moves the ray off the sheet, and the point runs along
         the ray until it is back on it. ``sigma_cal`` adds, in quadrature, the ray's own uncertainty across itself and the
-        sheet's along its normal, both over |n . d|.
+        sheet's along its normal, both over |n . d|; of a sheet that follows the camera (`Laser.coupling`), what both together do.
     """
     known = np.isfinite(pixels[:, 0]) & np.isfinite(pixels[:, 1])
     rays = camera.rays(pixels)
@@ -81,9 +81,11 @@ def triangulate(
     moved, slide = shift[:, :, across], shift[:, :, 1 - across]
     slope = np.abs(_dot(sheet, view))
     sigma = np.abs(_dot(sheet, moved)) * sigma_px / slope
-    # the ray's own uncertainty lies across depth: only its part along the sheet's normal moves the point
-    lateral = camera.sigma_at(pixels, points) * np.sqrt(np.maximum(1 - sheet[:, 2] ** 2, 0))
-    sigma_cal = np.hypot(lateral, laser.sigma_at(points)) / slope
+    if laser.coupling.size:
+        sigma_cal = _along_ray(camera, laser, pixels, points, view, sheet)
+    else:  # the ray's own uncertainty lies across depth: only its part along the sheet's normal moves the point
+        lateral = camera.sigma_at(pixels, points) * np.sqrt(np.maximum(1 - sheet[:, 2] ** 2, 0))
+        sigma_cal = np.hypot(lateral, laser.sigma_at(points)) / slope
     for values in (view, sheet):
         values[lost] = np.nan
     return Triangulated(points, sigma, sigma_cal, reason, view, moved, slide, sheet)
@@ -91,3 +93,17 @@ def triangulate(
 
 def _dot(a: Array, b: Array) -> Array:
     return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
+
+
+def _along_ray(camera: Camera, laser: Laser, pixels: Array, points: Array, view: Array, normal: Array) -> Array:
+    """Standard deviation (N,) mm along the rays of ranged points, camera and sheet together, for a sheet that follows the camera.
+
+    ``view`` and ``normal`` (N, 3) are the unit rays and the sheet's normals at the points.
+    """
+    steep = _dot(normal, view)[:, None]
+    lift = laser.lift(points) / steep
+    by_camera = lift @ laser.coupling - np.einsum("ni,nip->np", normal, camera.jacobian(pixels, points)) / steep
+    variance = ((by_camera @ camera.covariance) * by_camera).sum(axis=1) + ((lift @ laser.covariance) * lift).sum(
+        axis=1
+    )
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -52,6 +52,13 @@ class Laser:
     flatness_sigma: float  # mm, its standard error
     n: int
     planes: tuple[PlaneOfLight, ...] = ()
+    coupling: Array = field(
+        default_factory=lambda: np.zeros((0, 0))
+    )  # (L, P) movement of the parameters, a unit of each
+    # of the camera's, which ``covariance`` holds fixed; (0, 0): found as if the camera were known
+    local_mm: float = float(
+        "nan"
+    )  # one sigma, what the sheet's shape leaves unexplained from place to place, in ``covariance``
 
     @property
     def plane(self) -> Plane:
@@ -138,6 +145,7 @@ def fit_laser(
     return Laser(
         name, best.sheet, best.frame, covariance, np.full(3, np.nan) if origin is None else origin, along, channel,
         best.rms, float(np.median(known)) if known else float("nan"), valley, error, int(best.used.sum()), planes,
+        local_mm=best.local,
     )  # fmt: skip
 
 
@@ -205,6 +213,7 @@ class _Fit:
     scale: float  # mm, robust deviation of the residuals
     rms: float  # mm, of the used points
     order: int
+    local: float  # mm, what the shape leaves unexplained along the stripes
 
     @classmethod
     def of(cls, name: str, stripes: list[StripePoints], *, order: int) -> _Fit:
@@ -230,11 +239,12 @@ class _Fit:
         freedom = max(int(used.sum()) - len(parameters), 1)
         variance = float((robust * residual**2).sum() / freedom)
         covariance = inverse * variance
-        covariance[2, 2] += _unexplained(np.split(np.where(used, residual, np.nan), _ends(stripes)))
+        local = _unexplained(np.split(np.where(used, residual, np.nan), _ends(stripes)))
+        covariance[2, 2] += local
         flat, frame = _moved(plane, frame, parameters)
         sheet: Sheet = CurvedSheet(flat, frame, parameters[3:]) if order > 1 else flat
         rms = float(np.sqrt((residual[used] ** 2).mean()))
-        return cls(name, sheet, frame, covariance, points, used, _scale(residual), rms, order)
+        return cls(name, sheet, frame, covariance, points, used, _scale(residual), rms, order, float(np.sqrt(local)))
 
     def flatness(self) -> tuple[float, float]:
         """Peak to valley of the quadratic part over the points, mm, and its standard error."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -25,6 +25,10 @@ class Stage:
     direction_sigma: float  # rad, one standard deviation of the direction about either perpendicular
     scale: float  # travelled over stated; of a turntable: by which the stated lengths of its target were multiplied
     rms_mm: float  # of the marks about the motion
+    coupling: Array = field(
+        default_factory=lambda: np.zeros((0, 0))
+    )  # (6, P) movement of point and direction, a unit of each
+    # parameter of the camera; (0, 0): found as if the camera were known
 
 
 def fit_linear(tracks: Array, positions: Array, *, covariance: Array | None = None) -> Stage:

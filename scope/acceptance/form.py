@@ -64,8 +64,10 @@ def expected_spread(
         Derivatives of the residuals by the parameters of the fit.
     across : (N,)
         By how much an error along the sighting ray moves the residual.
-    sigma, shared : (N,) mm and (N, K) mm
-        Errors along the ray, one sigma: of each point, and of K errors of the calibration.
+    sigma : (N,) mm
+        Error of each point along the ray, one sigma.
+    shared : (N, K) mm
+        What K errors of the calibration, one sigma each, do to the residual.
     left_out : float
         As in `spread`.
 
@@ -77,7 +79,7 @@ def expected_spread(
         return None
     step = max(1, len(sigma) // _MOST)
     j, along = design[::step], across[::step]
-    noise, calibration = np.nan_to_num(sigma[::step]) * along, np.nan_to_num(shared[::step]) * along[:, None]
+    noise, calibration = np.nan_to_num(sigma[::step]) * along, np.nan_to_num(shared[::step])
     q = np.linalg.qr(j[:, np.linalg.norm(j, axis=0) > 0])[0]
     rng = np.random.default_rng(0)
     found = np.empty(_DRAWS)

@@ -139,8 +139,7 @@ def _bar(scan: str, cloud: ScanCloud, known: Known) -> Seen:
     claimed = 0.0
     if a.place is not None and b.place is not None:
         scatter = float(e @ (a.place.scatter + b.place.scatter) @ e)
-        camera, _ = rays_of(cloud)
-        shared = shared_of(cloud, camera)  # one basis for both: what moves them alike does not count
+        shared, _ = shared_of(cloud, *rays_of(cloud))  # one basis for both: what moves them alike does not count
         moved = [_moved(cloud, r, s, shared) for r, s in zip(rows, shapes, strict=True)]
         calibration = float(np.linalg.norm(e @ (moved[1] - moved[0])))
         slope = float(e @ (b.place.slope - a.place.slope))
@@ -153,14 +152,12 @@ def _bar(scan: str, cloud: ScanCloud, known: Known) -> Seen:
 
 
 def _moved(cloud: ScanCloud, rows: Ints, shape: Shape, shared: Array) -> Array:
-    """Movement (3, K) mm of a sphere's centre by each error of the calibration."""
-    _, ray = rays_of(cloud)
+    """Movement (3, K) mm of a sphere's centre by each error of the calibration, which move the points by ``shared`` (N, 3, K)."""
     points = cloud.points[rows]
     out = points - shape.point
     out = out / np.linalg.norm(out, axis=1, keepdims=True)
-    along = np.ones(len(rows)) if ray is None else (out * ray[rows]).sum(axis=1)
     solve = np.linalg.pinv(np.column_stack([out, np.ones(len(rows))]), rcond=1e-10)[:3]
-    return np.asarray((solve * along) @ np.nan_to_num(shared[rows]))
+    return np.asarray(solve @ np.einsum("ni,nik->nk", out, np.nan_to_num(shared[rows])))
 
 
 def _plane(scan: str, cloud: ScanCloud, standard: Standard) -> Seen:
@@ -196,7 +193,6 @@ def _form(
 def _explained(
     cloud: ScanCloud, on: Bools, ray: Array | None, out: Array, design: Array, standard: Standard
 ) -> tuple[float, float] | None:
-    camera, _ = rays_of(cloud)
-    shared = shared_of(cloud, camera)[on]
+    shared = np.einsum("ni,nik->nk", out, shared_of(cloud, *rays_of(cloud))[0][on])
     across = np.ones(len(out)) if ray is None else (out * ray[on]).sum(axis=1)
     return expected_spread(design, across, cloud.sigma[on].astype(np.float64), shared, standard.left_out)

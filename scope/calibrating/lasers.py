@@ -11,7 +11,7 @@ from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array
 from calibration.grouping import grouped
 from calibration.rays import PlaneMarks
-from calibration.sheet import Laser, StripePoints, fit_laser
+from calibration.sheet import Laser, StripePoints, coupled, fit_laser, moved_stripe
 from ranging.background import Channel, Image, to_gray
 from ranging.stripe import Along
 from scope.calibrating.channels import Choice, candidates, choose
@@ -145,7 +145,18 @@ def _fit(
             "so it is no sheet beside the camera: it lies on something behind the target, or the laser shines along the "
             "camera's rays; shade it, give [target] plate, or move the laser aside"
         )
+    if by_hand and camera.model == "pinhole":
+        fitted = coupled(fitted, stripes, [_moves(camera, shots, stripe) for stripe in taken])
     return FoundLasers({laser.name: fitted}, tuple(used), tuple(left_out), {laser.name: choice})
+
+
+def _moves(camera: Camera, shots: list[Shot], stripe: Seen) -> Array:
+    """How a stripe on a target held by hand moves with the camera's parameters."""
+    marks = next(shot.marks for shot in shots if shot.plane.name == stripe.name)
+    pose = marks.c_from_plane
+    return moved_stripe(
+        camera, (stripe.pixels, stripe.points), pose.rotation[:, 2], (marks.pixels, marks.world), pose.translation
+    )
 
 
 def _agree(common: Common | None, views: int) -> bool:

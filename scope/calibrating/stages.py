@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array, Ints
 from calibration.grouping import grouped
 from calibration.rays import PlaneMarks, centre_covariance, locate_target
-from calibration.sheet import Laser
+from calibration.sheet import Laser, followed
 from calibration.stages import Stage, fit_linear, fit_turntable
 from calibration.targets import MarkerBoard
 from ranging.background import Image
@@ -53,6 +53,8 @@ def find_stages(plan: CalibrationPlan, camera: Camera, lasers: Mapping[str, Lase
             if stage.kind == "turntable":
                 centre = centre_of(camera.rays(views[0][0].pixels))
                 stage = replace(stage, point=centre + scale.factor * (stage.point - centre), scale=scale.factor)
+                if stage.coupling.size:
+                    stage = replace(stage, coupling=stage.coupling * np.repeat([[scale.factor], [1.0]], 3, axis=0))
         found = FoundStages((*found.stages, stage), (*found.left_out, *left_out), (*found.warnings, *told))
     return found
 
@@ -107,13 +109,34 @@ def _fit(
         tracks = np.stack([_of_marks(view, common) for view in views])
     elif stage.target is not None:  # no part of the target is in view throughout: its places as a whole tell the same
         tracks = np.stack([view.c_from_plane.apply(stage.target.marks) for view in views])
-    try:
+
+    def fitted(tracks: Array) -> Stage:
         if stage.kind == "linear":
             covariance = np.stack([centre_covariance(camera, view) for view in views])
             return fit_linear(tracks, positions, covariance=covariance)
         return fit_turntable(tracks, np.deg2rad(positions))
+
+    try:
+        found = fitted(tracks)
+        return replace(found, coupling=_coupling(camera, views, tracks, fitted)) if camera.model == "pinhole" else found
     except CalibrationError as error:
         raise CalibrationError(f"{plan.path}: {error}") from error
+
+
+def _coupling(camera: Camera, views: list[PlaneMarks], tracks: Array, fitted: Callable[[Array], Stage]) -> Array:
+    """How point and direction (6, P) follow the camera's parameters, by differences of half a standard deviation to either side.
+
+    Of each parameter the target takes the rigid motion, at each position, that follows its marks' rays.
+    """
+    scale = np.sqrt(np.maximum(np.diag(camera.covariance), 0.0))
+    motions = [followed(camera, view.pixels, view.world, view.world.mean(axis=0)) for view in views]
+    arms = [track - view.world.mean(axis=0) for track, view in zip(tracks, views, strict=True)]
+    found = np.zeros((6, len(scale)))
+    for k in np.flatnonzero(scale > 0):
+        moved = np.stack([np.cross(m[:3, k], arm) + m[3:, k] for m, arm in zip(motions, arms, strict=True)])
+        ends = [fitted(tracks + sign * 0.5 * scale[k] * moved) for sign in (1, -1)]
+        found[:, k] = np.concatenate([ends[0].point - ends[1].point, ends[0].direction - ends[1].direction]) / scale[k]
+    return found
 
 
 def _views(

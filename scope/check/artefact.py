@@ -199,25 +199,33 @@ def rays_of(cloud: ScanCloud) -> tuple[Array | None, Array | None]:
     return camera, ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
-def shared_of(cloud: ScanCloud, camera: Array | None) -> Array:
-    """How far errors of the calibration move each point along its ray (N, K) mm; all alike where the sheet is not known."""
+def shared_of(cloud: ScanCloud, camera: Array | None, ray: Array | None) -> tuple[Array, Array]:
+    """How K errors of the calibration move the points together (N, 3, K) mm, and what is local (N,) mm along the ray.
+
+    As the cloud tells (`ScanCloud.shared_moves`). Where it does not, along the rays as errors of the sheet would make up its
+    ``sigma_cal``, which is then local, too; where even the sheet is not known, all points alike.
+    """
+    told = cloud.shared_moves()
+    if told is not None:
+        return told
     sigma_cal = np.nan_to_num(cloud.sigma_cal).astype(np.float64)
-    if camera is None or cloud.sensors is None:
-        return sigma_cal[:, None]
-    first = np.flatnonzero(cloud.sensors.laser == cloud.sensors.laser[0])
-    sheet, _ = sheet_and_window(cloud, first)
-    if sheet is None:
-        return sigma_cal[:, None]
-    normal = rotation_from_quaternion(cloud.sensors.rotation[first[0]]) @ sheet.normal
-    basis = shared_errors(cloud.points, camera, normal, sigma_cal)
-    return sigma_cal[:, None] if basis is None else basis
+    along = np.broadcast_to([0.0, 0.0, 1.0], cloud.points.shape) if ray is None else ray
+    basis: Array | None = None
+    if camera is not None and cloud.sensors is not None:
+        first = np.flatnonzero(cloud.sensors.laser == cloud.sensors.laser[0])
+        sheet, _ = sheet_and_window(cloud, first)
+        if sheet is not None:
+            normal = rotation_from_quaternion(cloud.sensors.rotation[first[0]]) @ sheet.normal
+            basis = shared_errors(cloud.points, camera, normal, sigma_cal)
+    basis = sigma_cal[:, None] if basis is None else basis
+    return along[:, :, None] * basis[:, None, :], sigma_cal
 
 
 def fit_artefact(cloud: ScanCloud, known: Artefact) -> Shape:
     """Sphere, cylinder or plane of a cloud; ``MeasurementError`` where there is none of this size."""
     points = cloud.points
     camera, ray = rays_of(cloud)
-    shared, sigma = shared_of(cloud, camera), np.nan_to_num(cloud.sigma).astype(np.float64)
+    (shared, _), sigma = shared_of(cloud, camera, ray), np.nan_to_num(cloud.sigma).astype(np.float64)
     if known.kind == "plane":
         plane = largest_plane(points, 0.5, np.random.default_rng(0))
         if plane is None:
@@ -341,13 +349,14 @@ def _steps(cloud: ScanCloud, known: Artefact, tolerance: float | None, span: flo
         np.random.default_rng(0),
         sigma=cloud.sigma.astype(np.float64),
     )
-    shared = shared_of(cloud, camera)
+    shared, unexplained = shared_of(cloud, camera, ray)
     along = np.ones(len(points)) if ray is None else ray @ found.normal
     bent = along * np.nan_to_num(cloud.sigma) * (1.0 - np.abs(along))
     levels = range(len(known.heights) + 1)
-    moved = np.stack([(along[:, None] * shared)[found.level == k].mean(axis=0) for k in levels])
-    # what the sheet's shape leaves unexplained is part of sigma_cal and differs from place to place along the stripe
-    local = np.array([float(np.median((along * np.nan_to_num(cloud.sigma_cal))[found.level == k])) for k in levels])
+    pushed = np.einsum("i,nik->nk", found.normal, shared)
+    moved = np.stack([pushed[found.level == k].mean(axis=0) for k in levels])
+    # what the sheet's shape leaves unexplained differs from place to place along the stripe
+    local = np.array([float(np.median((along * unexplained)[found.level == k])) for k in levels])
     tilted = np.array([float(bent[found.level == k].mean()) for k in levels])
     sizes = []
     for k, nominal in enumerate(known.heights, start=1):

@@ -68,8 +68,8 @@ def fit_shape(
         Within about ``reach`` of the truth.
     ray : (N, 3), optional
         Unit sighting rays.
-    shared : (N, K) mm
-        How far K independent errors of the calibration move each point along its ray, one sigma.
+    shared : (N, 3, K) mm
+        How K independent errors of the calibration move each point, one sigma.
     sigma : (N,) mm
         Of the points themselves. On a slope a stripe is displaced by what its width and brightness do there: this is taken
         to be one sigma at grazing sight, nothing where the surface faces the camera, and alike all over.
@@ -156,7 +156,7 @@ def _errors(
     moved, slope = np.zeros((4, 1)), np.zeros(4)
     if ray is not None:
         along = (normal * ray).sum(axis=1)  # -1 where the surface faces the camera
-        moved = (solve * along) @ np.nan_to_num(shared)
+        moved = solve @ np.einsum("ni,nik->nk", normal, np.nan_to_num(shared))
         slope = solve @ (np.nan_to_num(sigma) * (1.0 - np.abs(along)))
     radius = (float(np.sqrt(scatter[3, 3])), float(np.linalg.norm(moved[3])), float(abs(slope[3])))
     return radius, PlaceErrors(scatter[:3, :3], moved[:3], slope[:3])

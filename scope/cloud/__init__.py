@@ -6,9 +6,19 @@ Read: columns, scan_cloud, lattice, normals, sheet, region, region_text, near_me
     pcd, text, surveying.
 """
 
-from scope.cloud.columns import Sensors
-from scope.cloud.fields import SENSOR, VERTEX
-from scope.cloud.files import READ, comments, not_carried, require_format, sensor_records, told, unknown, vertex_records
+from scope.cloud.columns import Sensors, Systematic
+from scope.cloud.fields import MOST_ERRORS, SENSOR, VERTEX
+from scope.cloud.files import (
+    READ,
+    comments,
+    not_carried,
+    require_format,
+    sensor_records,
+    systematic_records,
+    told,
+    unknown,
+    vertex_records,
+)
 from scope.cloud.filters import FilterOptions, filtered
 from scope.cloud.lattice import lattice_index, lattice_lines
 from scope.cloud.near_mesh import NEAR, Mesh, read_mesh
@@ -21,6 +31,7 @@ from scope.cloud.sheet import refuse_sheet
 __all__ = [
     "Box",
     "FilterOptions",
+    "MOST_ERRORS",
     "Mesh",
     "NEAR",
     "Polygon",
@@ -29,6 +40,7 @@ __all__ = [
     "SENSOR",
     "ScanCloud",
     "Sensors",
+    "Systematic",
     "VERTEX",
     "comments",
     "filtered",
@@ -43,6 +55,7 @@ __all__ = [
     "require_format",
     "require_names",
     "sensor_records",
+    "systematic_records",
     "told",
     "unknown",
     "vertex_records",

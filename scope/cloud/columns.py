@@ -26,6 +26,44 @@ class Sensors:
         return len(self.frame)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Systematic:
+    """What errors of the calibration do to a point, by its pixel: on a lattice of pixels of each laser's sheet.
+
+    K independent errors, each of one standard deviation, move the points of a scan together; between the nodes it is linear. What
+    moves the whole cloud with the stage that was found with the camera is left out.
+    """
+
+    laser: NDArray[np.uint8]  # (G,) index into laser_names; the nodes of a laser row by row of v
+    pixels: Array  # (G, 2) px (u, v)
+    moves: Array  # (G, K, 3) mm, in C
+    local: Array  # (G,) mm along the ray, one sigma: what the sheet's shape leaves unexplained from place to place
+
+    def at(self, laser: NDArray[np.uint8], pixels: Array) -> tuple[Array, Array]:
+        """Movements (N, K, 3) mm in C of points of these lasers (N,) at pixels (N, 2), and their local sigma (N,) mm."""
+        moves, local = np.zeros((len(pixels), *self.moves.shape[1:])), np.zeros(len(pixels))
+        for k in np.unique(laser):
+            rows, nodes = np.flatnonzero(laser == k), np.flatnonzero(self.laser == k)
+            if not len(nodes):
+                moves[rows], local[rows] = np.nan, np.nan
+                continue
+            u, v = np.unique(self.pixels[nodes, 0]), np.unique(self.pixels[nodes, 1])
+            i, a = _between(u, pixels[rows, 0])
+            j, b = _between(v, pixels[rows, 1])
+            for dj, di in ((0, 0), (0, 1), (1, 0), (1, 1)):
+                weight = (b if dj else 1 - b) * (a if di else 1 - a)
+                node = nodes[(j + dj) * len(u) + i + di]
+                moves[rows] += weight[:, None, None] * self.moves[node]
+                local[rows] += weight * self.local[node]
+        return moves, local
+
+
+def _between(nodes: Array, x: Array) -> tuple[NDArray[np.int64], Array]:
+    """Node (N,) below each of ``x``, and how far (N,) it lies on the way to the next; beyond the ends the ends count."""
+    below = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
+    return below, np.clip((x - nodes[below]) / (nodes[below + 1] - nodes[below]), 0.0, 1.0)
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Columns(Shown):
     """What a `ScanCloud` holds: N ranged points of one scan, in scan order, by frame, then along the stripe.
@@ -52,6 +90,7 @@ class Columns(Shown):
     notes: tuple[str, ...] = ()  # what reading its file left out or joined
     origin: tuple[str, ...] = ()  # "what: value": rig, limits, when and by whom the scan was made, of which files
     camera_centre: Array = field(default_factory=lambda: np.full(3, np.nan))  # (3,) mm, in C
+    systematic: Systematic | None = None  # None where the file tells nothing; then `sigma_cal` is all that is known
 
     def __len__(self) -> int:
         return len(self.points)
@@ -112,6 +151,22 @@ class Columns(Shown):
             laser=self.laser[keep],
             normals=None if self.normals is None else self.normals[keep],
         )
+
+    def shared_moves(self) -> tuple[Array, Array] | None:
+        """How K errors of the calibration move the points together (N, 3, K) mm, and what is local (N,) mm along the ray.
+
+        In the cloud frame, each error one standard deviation, but for motions of the whole cloud that follow the stage, which change
+        no size. None where the cloud does not know.
+        """
+        if self.systematic is None or self.sensors is None or not np.isfinite(self.pixels).all():
+            return None
+        moves, local = self.systematic.at(self.laser, self.pixels.astype(np.float64))
+        frames, first = np.unique(self.sensors.frame, return_index=True)
+        place = np.clip(np.searchsorted(frames, self.frame), 0, len(frames) - 1)
+        if not len(frames) or not np.isfinite(moves).all() or (frames[place] != self.frame).any():
+            return None
+        turns = np.stack([rotation_from_quaternion(q) for q in self.sensors.rotation[first]])[place]
+        return np.einsum("nij,nkj->nik", turns, moves), local
 
     def cloud_from_camera(self, frame: int) -> Pose:
         """Pose cloud_from_C when ``frame`` was taken; ``ValueError`` where the cloud does not know it."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calibration.errors import FileError
 from calibration.geometry import Array, Bools
-from scope.cloud.columns import Columns, Sensors
+from scope.cloud.columns import Columns, Sensors, Systematic
 
 VERTEX = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("sigma", "<f4"), ("sigma_cal", "<f4"),
@@ -23,6 +23,13 @@ SENSOR = np.dtype(
     [("frame", "<i4"), ("laser", "u1"), ("cx", "<f4"), ("cy", "<f4"), ("cz", "<f4"), ("qw", "<f4"), ("qx", "<f4"),
      ("qy", "<f4"), ("qz", "<f4"), ("lx", "<f4"), ("ly", "<f4"), ("lz", "<f4")]
 )  # fmt: skip
+NODE = [
+    ("laser", "u1"),
+    ("u", "<f4"),
+    ("v", "<f4"),
+    ("local", "<f4"),
+]  # of the element systematic; then x0 y0 z0 x1 ...
+MOST_ERRORS = 16  # of the calibration, that are told apart
 SCAN = {"u", "v", "frame"}  # what makes points a scan in order
 MOST_FRAMES = 1_000_000  # between the first and the last number of a frame
 _FURTHEST = 1e9  # mm from the origin
@@ -37,6 +44,7 @@ class Stored:
     fields: Mapping[str, NDArray[Any]]  # each (N,); x, y, z in mm
     comments: tuple[str, ...] = ()  # as `scope.cloud.files.comments` writes them; empty for files of others
     sensors: NDArray[np.void] | None = None  # as SENSOR
+    systematic: NDArray[np.void] | None = None  # as NODE
     gaps: bool = False  # whether a point without coordinates is a usual thing in this format, and is left out
     notes: tuple[str, ...] = field(default=())
 
@@ -118,6 +126,7 @@ def _described(path: Path, cloud: Columns, stored: Stored) -> Columns:
         origin=tuple(text.removeprefix("origin ")[:_LINE] for text in stored.comments if text.startswith("origin "))[
             :_LINES
         ],
+        systematic=_systematic(path, len(names), stored.systematic),
         camera_centre=centre if centre.shape == (3,) else np.full(3, np.nan),
     )
 
@@ -142,6 +151,33 @@ def _sensors(path: Path, cloud: Columns, rows: NDArray[np.void] | None) -> Senso
     if int(np.ptp(sensors.frame)) > MOST_FRAMES:
         raise FileError(f"{path}: the sensor's frames run from {sensors.frame.min()} to {sensors.frame.max()}: damaged")
     return sensors
+
+
+def _systematic(path: Path, lasers: int, rows: NDArray[np.void] | None) -> Systematic | None:
+    """What errors of the calibration do; ``FileError`` where the nodes of a laser are no lattice of pixels."""
+    names = () if rows is None else rows.dtype.names or ()
+    count = (len(names) - len(NODE)) // 3
+    if rows is None or not len(rows) or not 0 < count <= MOST_ERRORS or names != systematic_names(count):
+        return None
+    told = {name: rows[name] for name in names}
+    laser = _whole(path, told, "laser", 255).astype(np.uint8)
+    pixels, local = _known(told, "u", "v"), _known(told, "local")[:, 0]
+    moves = np.stack([_known(told, *(f"{axis}{k}" for axis in "xyz")) for k in range(count)], axis=1)
+    good = (np.abs(moves) < _FURTHEST).all(axis=(1, 2)) & (np.abs(pixels) <= _LARGEST_IMAGE).all(axis=1)
+    good &= (local >= 0) & (local < _FURTHEST) & (laser < lasers)
+    for k in np.unique(laser):
+        mine = np.flatnonzero(laser == k)
+        u, v = np.unique(pixels[mine, 0]), np.unique(pixels[mine, 1])
+        whole = len(u) > 1 and len(v) > 1 and len(mine) == len(u) * len(v)
+        if not whole or (pixels[mine] != np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)).any():
+            good[mine] = False
+    _require(path, good, "of the calibration's errors are none, or no lattice", what="rows")
+    return Systematic(laser, pixels, moves, local)
+
+
+def systematic_names(count: int) -> tuple[str, ...]:
+    """Properties of the element systematic with so many errors."""
+    return (*(name for name, _ in NODE), *(f"{axis}{k}" for k in range(count) for axis in "xyz"))
 
 
 def _require(path: Path, good: Bools, wrong: str, *, what: str = "points") -> None:

@@ -10,8 +10,8 @@ import numpy as np
 from calibration.atomic import written_whole
 from calibration.errors import FileError
 from scope.cloud import pcd, ply, surveying, text
-from scope.cloud.columns import Columns, Sensors
-from scope.cloud.fields import NORMAL, SENSOR, VERTEX, Stored, columns_of
+from scope.cloud.columns import Columns, Sensors, Systematic
+from scope.cloud.fields import NODE, NORMAL, SENSOR, VERTEX, Stored, columns_of, systematic_names
 from scope.errors import MeasurementError
 from scope.version import __version__
 
@@ -106,7 +106,7 @@ def _stored_ply(path: Path) -> Stored:
     if rows is None:
         raise FileError(f"{path}: has no element vertex with x, y, z; give a point cloud")
     fields = {name: rows[name] for name in rows.dtype.names or ()}
-    return Stored(fields, content.comments, content.elements.get("sensor"))
+    return Stored(fields, content.comments, content.elements.get("sensor"), content.elements.get("systematic"))
 
 
 def unknown(cloud: Columns, name: str) -> str:
@@ -182,9 +182,23 @@ def sensor_records(sensors: Sensors | None) -> ply.Records:
     return rows
 
 
+def systematic_records(systematic: Systematic) -> ply.Records:
+    """The element of a PLY that tells what errors of the calibration do."""
+    count = systematic.moves.shape[1]
+    names = systematic_names(count)
+    rows = np.zeros(len(systematic.laser), dtype=[*NODE, *((name, "<f4") for name in names[len(NODE) :])])
+    rows["laser"], rows["local"] = systematic.laser, systematic.local
+    rows["u"], rows["v"] = systematic.pixels.T
+    for name, values in zip(names[len(NODE) :], systematic.moves.reshape(len(rows), -1).T, strict=True):
+        rows[name] = values
+    return rows
+
+
 def write_ply(stream: BinaryIO, cloud: Columns) -> None:
     """Write the cloud as SCOPE's own PLY (docs/formats.md)."""
     elements = {"vertex": vertex_records(cloud), "sensor": sensor_records(cloud.sensors)}
+    if cloud.systematic is not None:
+        elements["systematic"] = systematic_records(cloud.systematic)
     ply.write(stream, ply.Ply(elements, comments(cloud)))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.errors import CalibrationError
+from calibration.errors import CalibrationError, FileError
 from calibration.geometry import Array
 from scope.design.expected import expected_figures
 from scope.design.planned import PlannedCalibration, plan_calibration
@@ -93,7 +93,12 @@ def design_rig(
         One that cannot be calibrated: spots or sheet out of view.
     """
     name = "rig design" if isinstance(design, RigDesign) else str(design)
-    rig = VirtualRig.of(design if isinstance(design, RigDesign) else read_design(Path(design)))
+    read = design if isinstance(design, RigDesign) else read_design(Path(design))
+    if read.jig.levels:
+        raise FileError(
+            f"{name}: jig.levels: stepped plates are simulated, not predicted; leave levels out, or run scope simulate"
+        )
+    rig = VirtualRig.of(read)
     surface = surface or Surface()
     planes = plan_planes(rig)
     try:

@@ -23,7 +23,8 @@ class OnPart:
     ray: Array | None  # (N, 3) unit sighting rays, model frame; None where unknown
     sigma: Array  # (N,) mm along the ray
     sigma_cal: Array  # (N,) mm along the ray
-    shared: Array  # (N, K) mm along the ray, a unit of each of K errors of the calibration
+    shared: Array  # (N, 3, K) mm, one standard deviation of each of K errors of the calibration
+    local: Array  # (N,) mm along the ray, what the calibration leaves unexplained from place to place
 
     def along(self, direction: Array, rows: Ints) -> Array:
         """Cosine (n,) by which an error along the ray moves points along directions (3,) or (n, 3); 1 where rays are not known."""
@@ -140,10 +141,11 @@ def _with_errors(
     random = summed @ summed.T * groups / max(groups - 3, 1)
     larger = np.maximum(np.diag(noise) / np.maximum(np.diag(random), 1e-30), 1.0)
     random = random * np.sqrt(np.outer(larger, larger))
-    shared = influence @ (part.shared[rows] * cosine[:, None])
+    facing = np.broadcast_to(direction, (len(rows), 3))
+    shared = influence @ np.einsum("ni,nik->nk", facing, part.shared[rows])
     # a stripe on a slope is displaced by up to about its sigma, alike all over
     bent = float(np.mean(part.sigma[rows] * np.abs(cosine) * (1.0 - np.abs(cosine)))) * _SLANT
-    local = float(np.hypot(np.median(part.sigma_cal[rows] * np.abs(cosine)), bent))
+    local = float(np.hypot(np.median(part.local[rows] * np.abs(cosine)), bent))
     extent = float(np.sqrt(((part.points[rows] - part.points[rows].mean(axis=0)) ** 2).sum(axis=1).mean()))
     return Fitted(kind, frame, origin, value, random, shared, local, rows, residual, extent)
 

@@ -91,11 +91,11 @@ def on_part(cloud: ScanCloud, rows: Ints, cloud_from_model: Pose) -> OnPart:
     """Points of a cloud in the frame of the model, with their errors along the sighting rays."""
     some = cloud.select(rows)
     camera, ray = rays_of(some)
-    shared = shared_of(some, camera)
+    shared, local = shared_of(some, camera, ray)
     turn = cloud_from_model.rotation
     return OnPart(
         cloud_from_model.inverse.apply(some.points), None if ray is None else ray @ turn,
-        np.nan_to_num(some.sigma).astype(np.float64), np.nan_to_num(some.sigma_cal).astype(np.float64), shared,
+        np.nan_to_num(some.sigma).astype(np.float64), np.nan_to_num(some.sigma_cal).astype(np.float64), np.einsum("ij,nik->njk", turn, shared), local,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ Read: run, options, setup, preparation, stripes, points, refinement, assembly, s
 """
 
 from scope.scanning.agreement import Agreement
-from scope.scanning.covariance import point_covariance
+from scope.scanning.covariance import boxes_of, point_covariance, systematic_of
 from scope.scanning.file import scan_to_file
 from scope.scanning.options import ScanOptions
 from scope.scanning.run import gathered, open_scan, run_scan, scan
@@ -23,8 +23,10 @@ __all__ = [
     "Scan",
     "ScanOptions",
     "Scanner",
+    "boxes_of",
     "point_covariance",
     "run_scan",
     "scan",
     "scan_to_file",
+    "systematic_of",
 ]

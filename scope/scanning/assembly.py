@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from calibration.geometry import quaternion_from_rotation
+from calibration.geometry import Array, quaternion_from_rotation
 from calibration.reason import see
 from calibration.rig import Rig
 from ranging.errors import RangingError
-from scope.cloud import ScanCloud, Sensors, filtered, lattice_normals
+from ranging.robot import Robot
+from scope.cloud import ScanCloud, Sensors, Systematic, filtered, lattice_normals
 from scope.scanning.agreement import agreements
+from scope.scanning.covariance import boxes_of, systematic_of
 from scope.scanning.setup import ScanSetup
 from scope.scanning.statistics import Footprint, Scan, ScanStatistics
 
@@ -100,11 +102,20 @@ def sensors_of(setup: ScanSetup, frames: list[int]) -> Sensors:
     )
 
 
+def systematic_errors(setup: ScanSetup, boxes: Mapping[int, Array]) -> Systematic | None:
+    """What errors of the calibration do; None on a robot, whose own errors are in ``sigma_cal`` alone."""
+    return None if isinstance(setup.motion, Robot) else systematic_of(setup.rig, setup.lasers, boxes, setup.motion)
+
+
 def assembled(setup: ScanSetup, cloud: ScanCloud, statistics: ScanStatistics, why: str, seconds: float) -> Scan:
     """Sensors, normals, filters and the agreement of lasers; ``RangingError`` where no frame gave a point."""
     require_points(setup, statistics, why)
     numbers = np.unique(cloud.frame).tolist()
-    cloud = replace(described(setup, cloud, why, statistics), sensors=sensors_of(setup, numbers))
+    cloud = replace(
+        described(setup, cloud, why, statistics),
+        sensors=sensors_of(setup, numbers),
+        systematic=systematic_errors(setup, boxes_of(cloud.laser, cloud.pixels)),
+    )
     agreement = agreements(cloud)
     if setup.options.normals:
         stored = cloud.points.astype(np.float32).astype(np.float64)  # as a resumed scan finds them

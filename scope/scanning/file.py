@@ -22,8 +22,27 @@ import numpy as np
 from calibration.atomic import require_folder, written_whole
 from calibration.errors import FileError, ScopeError
 from calibration.rig import Rig, sha256_of
-from scope.cloud import SENSOR, VERTEX, ScanCloud, comments, ply, require_format, sensor_records, vertex_records
-from scope.scanning.assembly import assembled, described, joined, require_points, scan_of, sensors_of
+from scope.cloud import (
+    SENSOR,
+    VERTEX,
+    ScanCloud,
+    comments,
+    ply,
+    require_format,
+    sensor_records,
+    systematic_records,
+    vertex_records,
+)
+from scope.scanning.assembly import (
+    assembled,
+    described,
+    joined,
+    require_points,
+    scan_of,
+    sensors_of,
+    systematic_errors,
+)
+from scope.scanning.covariance import boxes_of
 from scope.scanning.options import ScanOptions
 from scope.scanning.overlap import with_turn_trouble
 from scope.scanning.run import interrupted, open_scan, runs
@@ -141,16 +160,26 @@ def _write_chunk(stream: BinaryIO, chunk: Chunk) -> None:
 def _write_streamed(out: Path, part: Path, setup: ScanSetup, statistics: ScanStatistics, why: str) -> None:
     """PLY from the chunks of a part, each held alone."""
     with written_whole(out) as stream:
-        seen = [np.unique(rows["frame"]) for _, rows in _records(part)]
-        frames = np.unique(np.concatenate(seen))
+        seen, corners = [], []
+        for _, rows in _records(part):
+            seen.append(np.unique(rows["frame"]))
+            pixels = np.stack([rows["u"], rows["v"]], axis=1)
+            corners += [pixels.min(axis=0), pixels.max(axis=0)] if len(pixels) else []
+        frames, ends = np.unique(np.concatenate(seen)), np.array(corners)
+        systematic = systematic_errors(setup, boxes_of(np.zeros(len(ends), dtype=np.uint8), ends))
         nothing = described(setup, ScanCloud.from_points(np.zeros((0, 3))), why, statistics)
         counts = {"vertex": (VERTEX, statistics.points), "sensor": (SENSOR, len(frames) * len(setup.lasers))}
+        nodes = None if systematic is None else systematic_records(systematic)
+        if nodes is not None:
+            counts["systematic"] = (nodes.dtype, len(nodes))
         stream.write(ply.header(counts, comments(nothing)))
         for _, rows in _records(part):
             stream.write(rows.tobytes())
         for start in range(0, len(frames), _FRAMES):
             sensors = sensors_of(setup, frames[start : start + _FRAMES].tolist())
             stream.write(sensor_records(sensors).tobytes())
+        if nodes is not None:
+            stream.write(nodes.tobytes())
 
 
 def _resumed(part: Path, identity: dict[str, str], statistics: ScanStatistics) -> int:

@@ -2,7 +2,7 @@
 
 In: rig-design.toml.
 Out: sessions as people record them (calibration.toml, capture.toml, images) and the truth beside them.
-Read: rig_design, virtual_rig, fiducials, physics, optics, solids, rendering, stripe_truth, session; wild,
+Read: rig_design, virtual_rig, fiducials, physics, optics, solids, rendering, stripe_truth, written, session; wild,
     wild_table, wild_design.
 """
 

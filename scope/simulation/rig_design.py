@@ -169,6 +169,8 @@ class JigDesign:
     polarity: Literal["light", "dark"] = "light"
     fiducials: tuple[Cell, ...] = ()
     fiducial_diameter: Positive | None = None  # mm
+    # a stepped plate: mm towards the camera of equal strips of columns, whose marks are listed level by level
+    levels: Annotated[tuple[Annotated[float, Field(ge=0, le=1e4)], ...], Field(max_length=8)] = ()
     rotation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)  # degrees, rotation vector of every plane
     bright: Annotated[float, Field(gt=0, le=65535)] | None = None  # grey levels above black; 7/10 of white
     dark: Level | None = None  # grey levels above black; 1/20 of white
@@ -185,6 +187,20 @@ class JigDesign:
     def names(self) -> tuple[str, ...]:
         """Names of the planes: w and the stand-off."""
         return tuple(f"w{z:g}" for z in self.stand_offs)
+
+    def heights(self) -> list[float]:
+        """Mm towards the camera of each column: 0 without levels."""
+        return [self.levels[c * len(self.levels) // self.columns] if self.levels else 0.0 for c in range(self.columns)]
+
+    @model_validator(mode="after")
+    def _stepped(self) -> JigDesign:
+        if self.levels and (len(self.levels) < 2 or len(set(self.levels)) < len(self.levels)):
+            raise ValueError(f"levels {list(self.levels)}: two or more, all different; a flat plate has none")
+        if self.levels and self.columns < 3 * len(self.levels):
+            raise ValueError(f"{self.columns} columns on {len(self.levels)} levels; three columns a level or more")
+        if self.levels and self.fiducials:
+            raise ValueError("levels take no fiducials: the marks of a stepped plate are listed; leave fiducials out")
+        return self
 
     @model_validator(mode="after")
     def _possible(self) -> JigDesign:

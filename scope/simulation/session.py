@@ -38,6 +38,7 @@ from scope.simulation.stripe_truth import TrueStripe
 from scope.simulation.virtual_rig import VirtualRig, placed, rough_field
 from scope.simulation.wild import WildScene, write_wild
 from scope.simulation.wild_design import WildDesign
+from scope.simulation.written import calibration_toml, listed_marks, toml
 
 _MARK = "scope simulate"
 
@@ -135,12 +136,12 @@ def planned_session(design: str | Path) -> tuple[str, dict[str, Any]]:
     rig = VirtualRig.of(read_design(Path(design)))
     motion = rig.design.motion
     if motion is None or motion.kind == "fixed":
-        return _calibration_toml(rig, rig.design.camera.ambient > 0), {"kind": "fixed"}
+        return calibration_toml(rig, rig.design.camera.ambient > 0), {"kind": "fixed"}
     told: dict[str, Any] = {"kind": motion.kind, "moves": motion.moves, "step": motion.step, "start": motion.start}
     for key in ("direction", "axis_point", "axis_direction"):
         if getattr(motion, key) is not None:
             told[key] = list(getattr(motion, key))
-    return _calibration_toml(rig, rig.design.camera.ambient > 0), told
+    return calibration_toml(rig, rig.design.camera.ambient > 0), told
 
 
 def _refuse(out: Path) -> None:
@@ -221,7 +222,9 @@ def _write(
             pool.shutdown(cancel_futures=True)
     on_planes, on_object = stripes[: len(jig.names)], stripes[len(jig.names) :]
     expected = _median([s.sigma_mm for s in (on_object or on_planes)])
-    (folder / "calibration.toml").write_text(_calibration_toml(rig, dark > 0), encoding="utf-8")
+    (folder / "calibration.toml").write_text(calibration_toml(rig, dark > 0), encoding="utf-8")
+    for name, text in listed_marks(rig).items():
+        (folder / name).write_text(text, encoding="utf-8")
     if motion is not None:
         (folder / "capture.toml").write_text(_capture_toml(motion), encoding="utf-8")
     _write_truth(rig, folder / "truth", on_planes, on_object, expected)
@@ -247,44 +250,15 @@ def _save(folder: Path, images: Iterable[NDArray[Any]], *, first: int = 0, digit
         )
 
 
-def _toml(value: object) -> str:
-    """A number, text, list or boolean as TOML (whose syntax for these is JSON's)."""
-    return json.dumps(value)
-
-
-def _calibration_toml(rig: VirtualRig, dark: bool) -> str:
-    jig = rig.design.jig
-    lines = ["# A simulated rig; truth/ holds what it really is.", "format = 1", 'units = "mm"', "", "[target]"]
-    pitch = jig.pitches[0] if jig.pitches[0] == jig.pitches[1] else list(jig.pitches)
-    target: dict[str, object] = {
-        "kind": jig.kind,
-        "polarity": jig.polarity,
-        "rows": jig.rows,
-        "columns": jig.columns,
-        "pitch": pitch,
-        "diameter": jig.diameter,
-    }
-    if jig.fiducials:
-        target |= {"fiducials": [list(cell) for cell in jig.fiducials], "fiducial_diameter": jig.fiducial_diameter}
-    lines += [f"{key} = {_toml(value)}" for key, value in target.items()]
-    lines += ["", "[laser]", f"origin = {_toml(rig.laser.origin.tolist())}"]
-    for name, pose in zip(jig.names, rig.stated, strict=True):
-        lines += ["", "[[plane]]", f"name = {_toml(name)}", f"images = {_toml(f'{name}/*.png')}"]
-        lines += [f"origin = {_toml([round(x, 9) for x in pose.translation.tolist()])}"]
-        lines += [f"rotation = {_toml(list(jig.rotation))}", f"laser = {_toml(f'{name}-laser/*.png')}"]
-        lines += [f"background = {_toml(f'{name}-dark/*.png')}"] * dark
-    return "\n".join(lines) + "\n"
-
-
 def _capture_toml(motion: MotionDesign) -> str:
     lines = ["# A simulated scan.", "format = 1", 'units = "mm"', 'images = "frames/*.png"']
     lines += ['background = "off/*.png"'] * (motion.off_images > 0)
-    lines += ["", "[motion]", f"kind = {_toml(motion.kind)}", f"moves = {_toml(motion.moves)}"]
+    lines += ["", "[motion]", f"kind = {toml(motion.kind)}", f"moves = {toml(motion.moves)}"]
     for key in ("direction", "axis_point", "axis_direction"):
         value = getattr(motion, key)
-        lines += [f"{key} = {_toml(list(value))}"] if value is not None else []
+        lines += [f"{key} = {toml(list(value))}"] if value is not None else []
     if motion.kind != "fixed":
-        lines += [f"step = {_toml(motion.step)}", f"start = {_toml(motion.start)}"]
+        lines += [f"step = {toml(motion.step)}", f"start = {toml(motion.start)}"]
     return "\n".join(lines) + "\n"
 
 

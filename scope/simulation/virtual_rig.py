@@ -141,7 +141,8 @@ class VirtualRig:
         jig, name = self.design.jig, self.design.jig.names[plane]
         column, row = np.meshgrid(np.arange(jig.columns), np.arange(jig.rows))
         centre = self.corners[2] / 2
-        marks = np.stack([column * jig.pitches[0], row * jig.pitches[1], 0.0 * row], axis=-1).reshape(-1, 3)
+        height = np.array(jig.heights())[column]
+        marks = np.stack([column * jig.pitches[0], row * jig.pitches[1], -height], axis=-1).reshape(-1, 3)
         radii = np.full((jig.rows, jig.columns), jig.diameter / 2)
         for cell in jig.fiducials:
             radii[cell] = (jig.fiducial_diameter or jig.diameter) / 2
@@ -149,7 +150,7 @@ class VirtualRig:
         for fault in self.design.faults:
             if fault.plane != name:
                 continue
-            marks = centre + (marks - centre) * fault.pitch
+            marks = centre + (marks - centre) * [fault.pitch, fault.pitch, 1.0]
             for cell in fault.missing:
                 radii[cell] = 0.0
             low, high = -centre[:2] * 0.05, centre[:2] * 2.05
@@ -163,11 +164,18 @@ class VirtualRig:
         return TargetLook(marks, radii.ravel(), spot, ground, dirt, jig.uneven)
 
     def blank(self, plane: int) -> Scene:
-        """A blank plate in a target's place, half a pitch larger than the grid all round, for the laser."""
+        """A blank plate in a target's place, half a pitch larger than the grid all round, for the laser; with the target's levels."""
         jig = self.design.jig
-        size = (jig.columns * jig.pitches[0], jig.rows * jig.pitches[1])
         pose = self.actual[plane]
-        return Scene((Part(Sheet(size), Pose(pose.rotation, pose.apply(self.corners[2] / 2))),))
+        heights = np.array(jig.heights())
+        starts = np.flatnonzero(np.diff(heights, prepend=np.nan))
+        ends = np.append(starts[1:], jig.columns)
+        parts = []
+        for first, last in zip(starts, ends, strict=True):
+            size = ((last - first) * jig.pitches[0], jig.rows * jig.pitches[1])
+            middle = np.array([0.5 * (first + last - 1) * jig.pitches[0], self.corners[2, 1] / 2, -heights[first]])
+            parts.append(Part(Sheet((float(size[0]), size[1])), Pose(pose.rotation, pose.apply(middle))))
+        return Scene(tuple(parts))
 
     def truth_of(self, scene: Scene) -> TrueStripe:
         """The true stripe on a scene in C."""

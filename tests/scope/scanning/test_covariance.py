@@ -11,12 +11,14 @@ from calibration.geometry import Pose
 from calibration.rays import PinholeCamera, TwoPlaneCamera
 from calibration.rig import Rig
 from calibration.sheet import CurvedSheet, Laser, SheetFrame
+from calibration.stages import Stage
 from calibration.volume import Volume
 from ranging.covariance import propagate
+from ranging.motion import Fixed, Turntable
 from ranging.triangulation import triangulate
 from scope.cloud import ScanCloud
 from scope.errors import MeasurementError
-from scope.scanning import point_covariance, scan
+from scope.scanning import point_covariance, scan, systematic_of
 
 
 @pytest.fixture(scope="module")
@@ -153,3 +155,36 @@ def test_another_rig_and_bare_points_are_refused(rig: Rig, cloud: ScanCloud) -> 
         point_covariance(replace(cloud, rig_sha256="0" * 64), rig)
     with pytest.raises(MeasurementError, match="where its sensor was"):
         point_covariance(replace(cloud, sensors=None), rig)
+
+
+def test_a_turntable_found_with_the_camera_takes_along_what_moves_it(rig: Rig) -> None:
+    """A camera wrong by a rigid motion puts sheet and axis wrong alike: its cloud is moved as a whole, and no size with it."""
+    camera = PinholeCamera(
+        np.array([[700.0, 0.0, 322.0], [0.0, 705.0, 236.0], [0.0, 0.0, 1.0]]), np.zeros(5), Pose.identity(), (640, 480),
+        Volume.everywhere(), np.diag([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 0.1,
+    )  # fmt: skip
+    laser = rig.lasers["laser"]
+    about = np.array([5.0, 40.0, 380.0])
+    axis = np.array([0.0, -np.cos(0.6), -np.sin(0.6)])
+    turns = np.zeros((3, 9))  # rad a px of the principal point, roughly: a pan and a tilt of the camera
+    turns[1, 2], turns[0, 3] = -1 / 700, 1 / 705
+    shift = np.cross(turns.T, about).T
+    direction = np.cross(turns.T, axis).T
+    stage = Stage("turntable", axis, about, 0.0, 1.0, 0.0, coupling=np.concatenate([shift, direction]))
+    lift = np.array([laser.frame.axes @ np.cross(w, laser.plane.normal) * -laser.frame.reach for w in turns.T])
+    offset = np.array([np.cross(w, laser.frame.centre) @ laser.plane.normal for w in turns.T])
+    coupling = np.column_stack([lift, offset]).T
+    still = replace(laser, sheet=laser.plane, covariance=np.zeros((3, 3)), coupling=coupling, local_mm=0.0)
+    own = replace(rig, camera=camera, lasers={"laser": still}, stages=(stage,))
+    seen = {
+        0: np.array([[320.0, 234.0], [324.0, 238.0]])
+    }  # there a principal point that is off is a camera that is turned
+    turning = Turntable(about, axis, 0.1)
+    alone, together = systematic_of(own, [still], seen, Fixed()), systematic_of(own, [still], seen, turning)
+    assert alone is not None
+    assert together is not None
+    points = still.sheet.intersect(camera.rays(together.pixels)).points
+    spin = np.cross(axis, points - about)  # about the axis itself: the whole cloud turns, whatever the angle
+    share = np.einsum("gki,gi->k", together.moves, spin) / (spin**2).sum()
+    left = together.moves - share[None, :, None] * spin[:, None]
+    assert np.abs(left).max() < 0.01 * np.abs(alone.moves).max()
