@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,9 @@ from calibration.reason import Reason
 from cli.main import app
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "scripts"))
+import docs_commands  # noqa: E402  (a script beside the packages)
+
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 KINDS = ("slip", "rotation", "stand_off", "tilt", "pitch", "swapped", "labelling", "mark", "moved")
 
@@ -23,6 +27,16 @@ def test_every_reason_and_every_fault_has_its_place() -> None:
     assert headings == {reason.key for reason in Reason if reason is not Reason.RANGED} | set(KINDS)
     formats = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     assert "Kinds: " + ", ".join(f"`{kind}`" for kind in KINDS) in formats
+
+
+def test_every_command_line_is_run_or_says_why_not() -> None:
+    """.ci/run runs them (scripts/docs_commands.py); what needs a camera or the network says so above its block."""
+    lines = [line for page in (PAGES[0], *PAGES[2:]) for line in docs_commands.lines_of(page)]
+    run = [line for line in lines if not line.reason]
+    assert len(run) > 25
+    assert {line.text.split()[0] for line in run} == {"scope"}
+    assert {line.reason for line in lines} <= {"", "needs the network", "needs a camera", ".ci/run does it, in a clone"}
+    assert "docs_commands.py" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 
 
 def command_lines(page: Path) -> list[str]:

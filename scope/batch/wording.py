@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.digits import rounded
 from scope.batch.engine import Day
 from scope.batch.statistics import GaugeStudy, capability, control_chart, gauge_study
 from scope.batch.table import HEAD, Row, columns_of
@@ -131,6 +132,7 @@ def day_page(day: Day, title: str, limits: Limits | None = None) -> str:
         ("session", "exit", "answer", "reason", "time, s"),
         [(row["session"], str(row["status"]), words.get(int(row["status"]), "failed"), str(row["reason"] or ""), f"{float(row['seconds']):.2f}")
          for row in rows],
+        marked={k for k, row in enumerate(rows) if int(row["status"])},
     )  # fmt: skip
     told = day_result(day, limits)["figures"]
     if not told:
@@ -143,10 +145,11 @@ def day_page(day: Day, title: str, limits: Limits | None = None) -> str:
     page.table(
         ("figure", "n", "mean", "sd", "least to greatest", "limits", "outside", *(("Cp", "Cpk") if judged else ())),
         [
-            [name, str(f["n"]), f"{f['mean']:.5g}", f"{f['sd']:.2g}", *(f"{a:.5g} to {b:.5g}" for a, b in ((f["min"], f["max"]), f["control"])),
+            [name, str(f["n"]), rounded(f["mean"], f["sd"] / max(f["n"], 1) ** 0.5), f"{f['sd']:.2g}", *(f"{a:.5g} to {b:.5g}" for a, b in ((f["min"], f["max"]), f["control"])),
              str(f["outside"]), *((f"{f[k]:.2f}" if k in f else "-" for k in ("cp", "cpk")) if judged else ())]
             for name, f in told.items()
         ],
+        marked={k for k, f in enumerate(told.values()) if f["outside"]},
     )  # fmt: skip
     _gauges(page, told)
     page.heading("Control charts")

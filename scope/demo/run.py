@@ -19,11 +19,24 @@ from scope import simulation
 from scope.calibrating import Calibration, calibrate
 from scope.cloud import Box
 from scope.errors import MissingLibraryError
-from scope.report import Page, add_views, calibration_page, grey_blocks, scan_page, with_marks, with_stripe
+from scope.origin import origin_of
+from scope.report import (
+    Page,
+    add_views,
+    calibration_page,
+    grey_blocks,
+    linked,
+    scan_page,
+    signed,
+    with_marks,
+    with_stripe,
+)
 from scope.scanning import Scan, run_scan
 from scope.viewer import cloud_scene, rig_layers
 
 _STEPS = 5
+_FINEST = 1e-3  # mm, degrees: no deviation is known to better than a tenth of that
+_PAGES = {"demo": "Demo", "calibration": "Calibration", "scan": "Scan", "roughness": "Roughness", "pose": "Pose"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +105,7 @@ def run_demo(
         say(skipped)
     on_step(4, _STEPS)
     write_text(out / "demo.html", _page(calibration, found, deviations, skipped))
+    _link(out)
     on_step(5, _STEPS)
     return {
         "deviations": [
@@ -106,15 +120,24 @@ def run_demo(
     }
 
 
+def _link(out: Path) -> None:
+    """Sign the pages and lead from each to the others; what could not be made is left out."""
+    origin = origin_of([out / "rig-design.toml", out / "rig.json", out / "cloud.ply"])
+    there = {name: out / f"{name}.html" for name in _PAGES if (out / f"{name}.html").is_file()}
+    for name, path in there.items():
+        beside = [(f"{other}.html", _PAGES[other]) for other in there if other != name]
+        write_text(path, linked(signed(path.read_text(encoding="utf-8"), origin), beside))
+
+
 def demo_text(result: dict[str, Any]) -> str:
     """Table of deviations for the terminal."""
     rows = [("", "found", "true", "deviation")]
     rows += [
         (
             d["what"],
-            rounded(d["found"], abs(d["error"])),
+            rounded(d["found"], max(abs(d["error"]), _FINEST)),
             f"{d['true']:.6g}",
-            f"{rounded(d['error'], abs(d['error']), sign=True)} {d['unit']}",
+            f"{rounded(d['error'], max(abs(d['error']), _FINEST), sign=True)} {d['unit']}",
         )
         for d in result["deviations"]
     ]
@@ -292,9 +315,9 @@ def _page(calibration: Calibration, found: Scan, deviations: list[Deviation], sk
         [
             [
                 d.what,
-                rounded(d.found, abs(d.error)),
+                rounded(d.found, max(abs(d.error), _FINEST)),
                 f"{d.true:.6g}",
-                f"{rounded(d.error, abs(d.error), sign=True)} {d.unit}",
+                f"{rounded(d.error, max(abs(d.error), _FINEST), sign=True)} {d.unit}",
             ]
             for d in deviations
         ],
@@ -322,5 +345,4 @@ def _page(calibration: Calibration, found: Scan, deviations: list[Deviation], sk
         page.image(grey_blocks(blocks, enlarge=2), f"fit error, up to {length.max():.3f} px", width=430)
     view = calibration.views[0]
     page.image(with_stripe(view.image, view.pixels), f"stripe on {view.plane}", width=430)
-    page.text("More, beside this page: calibration.html, scan.html, roughness.html, pose.html.")
     return page.html()

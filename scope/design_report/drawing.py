@@ -55,7 +55,9 @@ def rig_svg(found: DesignResult, axes: tuple[int, int]) -> str:
         near = (
             name == "laser" and float(np.hypot(*(place[list(axes)] * scale))) < 60.0
         )  # behind the camera in this view
-        parts.append(f'<text x="{x + 8:.1f}" y="{y + (18 if near else -8):.1f}" style="fill:{colour}">{name}</text>')
+        parts.append(
+            f'<text x="{x + 8:.1f}" y="{y + (18 if near else -8):.1f}" style="fill:{colour.replace(_LASER, "var(--c1)").replace(_SEEN, "var(--c0)")}">{name}</text>'
+        )
     for pose, name in zip(rig.stated, rig.design.jig.names, strict=True):
         x, y = (pose.apply(rig.corners).max(axis=0)[list(axes)] - low) * scale
         parts.append(

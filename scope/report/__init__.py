@@ -17,7 +17,7 @@ from scope.report.check import check_page
 from scope.report.hand_eye import hand_eye_page
 from scope.report.inspection import inspection_page
 from scope.report.merge import merge_page
-from scope.report.page import Level, Page, signed
+from scope.report.page import Level, Page, linked, signed
 from scope.report.pictures import grey_blocks, with_marks, with_stripe
 from scope.report.pose import pose_html
 from scope.report.roughness import roughness_csv, roughness_page, roughness_text
@@ -40,6 +40,7 @@ __all__ = [
     "cloud_from",
     "grey_blocks",
     "hand_eye_page",
+    "linked",
     "pose_html",
     "roughness_csv",
     "roughness_page",

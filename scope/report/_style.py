@@ -1,14 +1,16 @@
 """How every page looks: light and dark as the reader's system is, wide and narrow, and on A4."""
 
 STYLE = """
-:root{color-scheme:light dark;--ink:#1c2430;--soft:#55606e;--faint:#7a8494;--page:#fff;--line:#d5dae1;--row:#e2e6eb;--head:#f4f6f8;
---good:#e8f5ec;--warn:#fff6e0;--bad:#fdeaea;--plain:#eef1f5;--grid:#e4e8ed;--link:#1f5fa8}
+:root{color-scheme:light dark;--ink:#1c2430;--soft:#55606e;--faint:#5f6978;--page:#fff;--line:#d5dae1;--row:#e2e6eb;--head:#f4f6f8;
+--good:#e8f5ec;--warn:#fff6e0;--bad:#fdeaea;--plain:#eef1f5;--grid:#e4e8ed;--link:#1f5fa8;
+--c0:#1f5fa8;--c1:#c0342c;--c2:#1a7a42;--c3:#8a5bb5;--c4:#8f6200;--c5:#1f7a7a}
 @media (prefers-color-scheme:dark){:root{--ink:#e3e8ee;--soft:#a7b1bd;--faint:#8a95a3;--page:#12171d;--line:#3a444f;--row:#2a323b;--head:#1c232b;
---good:#14321f;--warn:#3a2f10;--bad:#3f1a1a;--plain:#1d252e;--grid:#2c353f;--link:#7fb2ee}}
+--good:#14321f;--warn:#3a2f10;--bad:#3f1a1a;--plain:#1d252e;--grid:#2c353f;--link:#7fb2ee;
+--c0:#7fb2ee;--c1:#f0827a;--c2:#5fc98c;--c3:#c09be0;--c4:#e0ac3a;--c5:#62c9c9}}
 *{box-sizing:border-box}html{scroll-behavior:smooth}
 body{font:15px/1.5 system-ui,sans-serif;margin:0;color:var(--ink);background:var(--page)}
 .page{max-width:100rem;margin:0 auto;padding:1.5rem 1rem 3rem;display:grid;grid-template-columns:minmax(0,1fr);gap:0 2.5rem}
-main{min-width:0}a{color:var(--link)}
+main{min-width:0}.beside{margin:0 0 1rem}.beside a{margin-right:1.2rem}a{color:var(--link)}
 h1{font-size:1.6rem;margin:0 0 .6rem;overflow-wrap:anywhere}
 h2{font-size:1.15rem;margin:2rem 0 .5rem;border-bottom:1px solid var(--line);padding-bottom:.2rem;scroll-margin-top:1rem}
 p{max-width:52rem;overflow-wrap:anywhere}
@@ -30,10 +32,12 @@ figure.whole{flex:1 1 100%}figure svg{max-width:100%;height:auto;display:block}
 figcaption{color:var(--soft);font-size:.88rem;max-width:40rem;margin-top:.2rem;overflow-wrap:anywhere}
 scope-cloud{display:block}
 svg text{font:11px system-ui,sans-serif;fill:var(--ink)}svg .grid{stroke:var(--grid)}
+path.c0{stroke:var(--c0)}svg text.c0{fill:var(--c0)}path.c1{stroke:var(--c1)}svg text.c1{fill:var(--c1)}path.c2{stroke:var(--c2)}svg text.c2{fill:var(--c2)}path.c3{stroke:var(--c3)}svg text.c3{fill:var(--c3)}path.c4{stroke:var(--c4)}svg text.c4{fill:var(--c4)}path.c5{stroke:var(--c5)}svg text.c5{fill:var(--c5)}
 footer{margin-top:3rem;color:var(--faint);font-size:.85rem;border-top:1px solid var(--line);padding-top:.6rem}
 footer dl{display:grid;grid-template-columns:max-content minmax(0,1fr);gap:.1rem 1rem;margin:0}footer dd{margin:0;overflow-wrap:anywhere}
 @media print{@page{size:A4;margin:14mm}:root{color-scheme:light;--ink:#000;--soft:#333;--faint:#444;--page:#fff;--line:#bbb;--row:#ccc;--head:#eee;
---good:#fff;--warn:#fff;--bad:#fff;--plain:#fff;--grid:#ddd;--link:#000}
+--good:#fff;--warn:#fff;--bad:#fff;--plain:#fff;--grid:#ddd;--link:#000;
+--c0:#1f5fa8;--c1:#c0342c;--c2:#1a7a42;--c3:#8a5bb5;--c4:#8f6200;--c5:#1f7a7a}
 body{font-size:10pt}.page,.page.long{display:block;padding:0}nav{display:none}.wide{overflow:visible}
 table,figure,.verdict{break-inside:avoid}tr{break-inside:avoid}thead{display:table-header-group}h2{break-after:avoid}td.text{max-width:none}
 figure:not(.whole){width:47%!important}figure img{max-height:90mm}}

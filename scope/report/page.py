@@ -25,7 +25,7 @@ Level = Literal["good", "warn", "bad", "plain"]
 _CONTENTS = 4  # sections, from which a page has a table of contents
 _QUALITY = 85
 _FOOT = "</dl></footer>"
-_COLOURS = ("#1f5fa8", "#c0342c", "#1f8a4c", "#8a5bb5", "#c98a00", "#3aa6a6")
+_COLOURS = 6  # of curves, in the style: c0 to c5
 
 
 @dataclass(slots=True)
@@ -104,11 +104,13 @@ class Page:
         log: bool = False,
     ) -> None:
         """Add a line plot (or dots) of (name, x, y) series; NaN breaks a line; ``log`` makes both axes logarithmic."""
-        self._figure(_plot_svg(series, x_label, y_label, points=points, log=log), caption)
+        drawn = _plot_svg(series, x_label, y_label, points=points, log=log)
+        self._figure(drawn.replace("<svg ", f'<svg aria-label="{html.escape(caption)}" ', 1), caption)
 
     def drawing(self, svg: str, caption: str) -> None:
         """Add a picture that is drawn: an ``<svg>`` of the caller's own making, whose words he has escaped."""
-        self._figure(svg.replace("<svg ", '<svg style="max-width:100%;height:auto" ', 1), caption)
+        named = f'<svg role="img" aria-label="{html.escape(caption)}" style="max-width:100%;height:auto" '
+        self._figure(svg.replace("<svg ", named, 1), caption)
 
     def cloud(self, scene: Scene, caption: str, *, limit: int = 150_000) -> None:
         """Add the viewer with a scene: to be turned, read, measured and cut; in print, and without WebGL, a picture of it.
@@ -162,6 +164,12 @@ class Page:
     def _figure(self, content: str, caption: str, width: int | None = None, *, kind: str = "") -> None:
         style = f' style="width:{width + 2}px"' if width else ""  # a long caption must not push its neighbour below
         self._figures.append(f"<figure{kind}{style}>{content}<figcaption>{html.escape(caption)}</figcaption></figure>")
+
+
+def linked(page: str, links: Iterable[tuple[str, str]]) -> str:
+    """A page with links (file, words) to the pages beside it, under its title."""
+    told = "".join(f'<a href="{html.escape(file)}">{html.escape(words)}</a>' for file, words in links)
+    return page.replace("</h1>", f'</h1><nav class="beside" aria-label="Pages beside this one">{told}</nav>', 1)
 
 
 def signed(page: str, origin: Origin) -> str:
@@ -222,23 +230,21 @@ def _plot_svg(
         parts.append(f'<line x1="{left}" x2="{width - right}" y1="{tick:.1f}" y2="{tick:.1f}" class="grid"/>')
         parts.append(f'<text x="{left - 6}" y="{tick + 4:.1f}" text-anchor="end">{_label(value, log)}</text>')
     for k, (name, x, y) in enumerate(curves):
-        colour = _COLOURS[k % len(_COLOURS)]
+        colour = f"c{k % _COLOURS}"
         px, py = at(x, y)
         known = np.isfinite(px) & np.isfinite(py)
         if points:
             dots = "".join(f"M{a:.1f} {b:.1f}h.01" for a, b in zip(px[known], py[known], strict=True))
-            parts.append(f'<path d="{dots}" stroke="{colour}" stroke-width="3" stroke-linecap="round" fill="none"/>')
+            parts.append(f'<path d="{dots}" class="{colour}" stroke-width="3" stroke-linecap="round" fill="none"/>')
         else:
             path, pen = [], "M"
             for a, b, good in zip(px, py, known, strict=True):
                 if good:
                     path.append(f"{pen}{a:.1f} {b:.1f}")
                 pen = "L" if good else "M"
-            parts.append(f'<path d="{"".join(path)}" stroke="{colour}" stroke-width="1.4" fill="none"/>')
+            parts.append(f'<path d="{"".join(path)}" class="{colour}" stroke-width="1.4" fill="none"/>')
         if name:
-            parts.append(
-                f'<text x="{left + 8}" y="{top + 14 + 14 * k}" style="fill:{colour}">{html.escape(name)}</text>'
-            )
+            parts.append(f'<text x="{left + 8}" y="{top + 14 + 14 * k}" class="{colour}">{html.escape(name)}</text>')
     middle = (top + height - bottom) / 2
     parts.append(f'<text x="{(left + width) / 2}" y="{height - 8}" text-anchor="middle">{html.escape(x_label)}</text>')
     parts.append(
