@@ -131,7 +131,7 @@ def _pictures(page: Page, patch: Roughness) -> None:
     )
     page.cloud(
         _relief(heights),
-        "The heights after the form was taken off, to be turned and cut; shown higher than they are",
+        "The heights after the form was taken off, to be turned and cut; shown larger than they are",
         limit=120_000,
     )
     window = 0.15 * min(heights.size)

@@ -102,12 +102,19 @@ def _decimals(step: float) -> int:
     return int(np.clip(np.ceil(-np.log10(step) - 1e-9), 0, 9))
 
 
+def _told_decimals(scalar: Scalar, step: float) -> int:
+    """As many as tell a two hundredth of the usual range; of whole numbers none."""
+    low, high = scalar.usual
+    least = 2 if scalar.unit == "px" else 0
+    return min(_decimals(step), max(least, _decimals(_power_below(max(high - low, 1e-12) / 200))))
+
+
 def _told(scalar: Scalar, column: _Column) -> dict[str, Any]:
     known = scalar.values[np.isfinite(scalar.values)]
     whole = [float(known.min()), float(known.max())] if len(known) else [0.0, 1.0]
     return {
         **column.told(), "name": scalar.name[:_LONGEST], "label": (scalar.label or scalar.name)[:_LONGEST], "unit": scalar.unit,
-        "kind": scalar.kind, "names": [name[:_LONGEST] for name in scalar.names], "decimals": _decimals(column.step),
+        "kind": scalar.kind, "names": [name[:_LONGEST] for name in scalar.names], "decimals": _told_decimals(scalar, column.step),
         "usual": list(scalar.usual), "whole": whole,
     }  # fmt: skip
 

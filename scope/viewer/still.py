@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.geometry import Array
-from scope.viewer.scene import Scalar, Scene
+from scope.viewer.scene import Layer, Scalar, Scene
 
 Picture: TypeAlias = NDArray[np.uint8]  # (rows, columns, 3) BGR
 
@@ -93,9 +93,13 @@ def still(scene: Scene) -> Picture:
     for layer in scene.layers:
         colour = _SHEETS[layer.number % len(_SHEETS)] if layer.role == "sheet" else _PARTS.get(layer.role, _INK)
         if layer.faces is not None and layer.vertices is not None:
-            shade = picture.copy()
-            cv2.fillPoly(shade, list(np.rint(at(layer.vertices)).astype(np.int32)[layer.faces]), colour, cv2.LINE_AA)
-            picture = np.asarray(cv2.addWeighted(picture, 0.6, shade, 0.4, 0), dtype=np.uint8)
+            picture = _shaded(
+                picture,
+                at(layer.vertices)[layer.faces],
+                scale * (layer.vertices @ np.cross(right, down))[layer.faces],
+                layer,
+                colour,
+            )
         elif layer.lines is not None:
             ends = at(layer.lines.reshape(-1, 3)).reshape(-1, 2, 2)
             for k, line in enumerate(np.rint(ends).astype(np.int32)):
@@ -108,6 +112,19 @@ def still(scene: Scene) -> Picture:
         if scene.scalars:
             _bar(picture, scalar)
     return picture
+
+
+def _shaded(picture: Picture, at: Array, depth: Array, layer: Layer, colour: tuple[int, int, int]) -> Picture:
+    """A mesh over a picture: corners of its faces ``at`` (F, 3, 2) px and ``depth`` (F, 3) px; furthest first, steep ones darker."""
+    first, second = (np.column_stack([at[:, k] - at[:, 0], depth[:, k] - depth[:, 0]]) for k in (1, 2))
+    normal = np.cross(first, second)
+    facing = np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+    over = picture.copy()
+    for k in np.argsort(-depth.mean(axis=1)):
+        shade = (0.55 + 0.45 * facing[k]) * np.array(colour)
+        cv2.fillConvexPoly(over, np.rint(at[k]).astype(np.int32), tuple(int(c) for c in shade), cv2.LINE_AA)
+    share = 0.85 if layer.role == "model" else 0.4
+    return np.asarray(cv2.addWeighted(picture, 1.0 - share, over, share, 0), dtype=np.uint8)
 
 
 def cloud_from(points: Array, values: Array, right: Array, down: Array, *, width: int = 700) -> Picture:

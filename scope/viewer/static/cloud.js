@@ -72,7 +72,9 @@ class Cloud {
     this.placed = new Float32Array(3 * n);
     this.values = new Float32Array(n);
     this.group = new THREE.Group();
-    this.material = new THREE.ShaderMaterial({vertexShader: VERTEX, fragmentShader: FRAGMENT, uniforms: {
+    this.material = new THREE.ShaderMaterial({vertexShader: VERTEX, fragmentShader: FRAGMENT,
+      transparent: true, blending: 0, uniforms: { // opaque, but after sheets and meshes, which must not tint them
+     
       low: {value: 0}, high: {value: 1}, size: {value: 2}, half_: {value: -1}, slab: {value: new THREE.Vector4()}, bar: {value: null},
       unknown: {value: new THREE.Vector3()}, ground: {value: new THREE.Vector3()}}});
     this.chunks = [];

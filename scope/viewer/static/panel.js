@@ -30,7 +30,7 @@ class Panel {
     this.modes = MODES.filter(([name]) => name !== "region" || viewer.hasAttribute("region")).map(([name, label, title]) =>
       make("button", {type: "button", textContent: label, title, data: {"data-mode": name, "aria-pressed": "false"}, on: {click: () => viewer.setMode(name)}}));
     this.sides = make("select", {data: {"aria-label": "look"}, on: {change: () => { viewer.lookAlong(this.sides.value); this.sides.value = ""; }}},
-      make("option", {value: "", textContent: "Look…"}), ...Object.keys(SIDES).map(s => make("option", {value: s, textContent: s})));
+      make("option", {value: "", textContent: "Look…"}), ...[...Object.keys(SIDES), ...(scene.points && scene.layers.length ? ["at the points"] : [])].map(s => make("option", {value: s, textContent: s})));
     const button = (label, title, work, name) => make("button", {type: "button", textContent: label, title, data: {"data-do": name}, on: {click: work}});
     this.help = make("div", {className: "help", hidden: true}, make("table", {}, ...KEYS.map(([k, t]) => make("tr", {}, make("th", {textContent: k}), make("td", {textContent: t})))));
     const bar = make("div", {className: "bar"});
@@ -48,6 +48,7 @@ class Panel {
     this.side = make("div", {className: "side"}, this.section, this.reading, this.legend, this.range);
     this.bar = bar;
     this.showLegend(scene.layers.length ? viewer.parts.layers : []);
+    this.showPicked([]);
   }
 
   rangePanel() {
@@ -112,7 +113,11 @@ class Panel {
   // Values of one point, or of two and their difference.
   showPicked(rows) {
     const {scene} = this.viewer;
-    if (!rows.length) { this.reading.replaceChildren(); return; }
+    if (!rows.length) {
+      const what = scene.points ? "Click a point to read its values. " : "";
+      this.reading.replaceChildren(make("div", {className: "about", textContent: `${what}Drag, or one finger, turns; shift + drag, or two fingers, moves; wheel, or pinch, zooms once it was clicked; ? lists the keys.`}));
+      return;
+    }
     const places = rows.map(row => ["x", "y", "z"].map((_, k) => scene.xyz[3 * row + k] + scene.centre[k]));
     const lines = ["x", "y", "z"].map((name, k) => [`${name}, mm`, ...places.map(p => figure(p[k], scene.decimals)),
       ...(rows.length > 1 ? [figure(scene.xyz[3 * rows[1] + k] - scene.xyz[3 * rows[0] + k], scene.decimals)] : [])]);
@@ -125,7 +130,7 @@ class Panel {
     const head = rows.length > 1 ? ["", "A", "B", "B - A"] : ["", `point ${(scene.numbers ? scene.numbers(rows[0]) : rows[0] + 1).toLocaleString("en")}`];
     this.reading.replaceChildren();
     if (rows.length > 1) this.reading.append(make("p", {className: "distance", textContent: `Distance ${figure(this.viewer.distance, scene.decimals)} mm`}));
-    this.reading.append(make("table", {}, make("thead", {}, make("tr", {}, ...head.map(textContent => make("th", {textContent})))),
+    this.reading.append(make("table", {className: rows.length > 1 ? "pair" : ""}, make("thead", {}, make("tr", {}, ...head.map(textContent => make("th", {textContent})))),
       make("tbody", {}, ...lines.map(cells => make("tr", {}, ...cells.map((textContent, k) => make(k ? "td" : "th", {textContent})))))));
   }
 

@@ -6,7 +6,8 @@ const SIDES = { // what is right and down on the screen
 const UNIT = {x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1]};
 
 class View {
-  constructor(low, high, first) {
+  constructor(low, high, first, places) {
+    this.places = places; // that are to be in view
     this.low = low; this.high = high;
     this.first = first; // [right, down], of the view to begin with
     this.camera = new THREE.OrthographicCamera();
@@ -28,20 +29,17 @@ class View {
   }
 
   fit() {
+    const span = way => this.places.reduce(([a, b], p) => { const d = p.dot(way); return [Math.min(a, d), Math.max(b, d)]; }, [Infinity, -Infinity]);
     this.target.addVectors(this.low, this.high).multiplyScalar(0.5);
-    let wide = 1e-9, tall = 1e-9;
-    for (const corner of this.corners()) {
-      const p = corner.sub(this.target);
-      wide = Math.max(wide, Math.abs(p.dot(this.right))); tall = Math.max(tall, Math.abs(p.dot(this.up)));
-    }
-    this.scale = Math.min((this.width - 2 * Math.min(90, 0.14 * this.width)) / (2 * wide), (this.height - 84) / (2 * tall)); // px per mm
+    const [wide, tall] = [this.right, this.up].map(way => {
+      const [from, to] = this.places.length ? span(way) : [-1, 1];
+      this.target.addScaledVector(way, (from + to) / 2 - this.target.dot(way));
+      return Math.max(1e-9, to - from);
+    });
+    this.scale = Math.min((this.width - 2 * Math.min(90, 0.14 * this.width)) / wide, (this.height - 84) / tall); // px per mm
     this.scale = Math.max(this.scale, 1e-9);
     this.fitted = true;
     this.place();
-  }
-
-  corners() {
-    return [...Array(8).keys()].map(k => new THREE.Vector3(...["x", "y", "z"].map((n, b) => ((k >> b) & 1 ? this.high : this.low)[n])));
   }
 
   resize(width, height) {

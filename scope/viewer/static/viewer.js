@@ -52,12 +52,12 @@ class ScopeCloud extends HTMLElement {
     this.parts = new Parts(scene.layers, scene.centre, scene.stretch);
     const box = [scene.low, scene.high].map(v => new THREE.Vector3(...v.map((x, k) => x * scene.stretch[k])));
     this.box = scene.points ? {low: box[0], high: box[1]} : null;
-    const [low, high] = box.map(v => v.clone());
+    const [low, high] = box.map(v => v.clone()), places = [];
     for (const {segments, mesh} of this.parts.layers) {
       const all = segments || mesh.geometry.attributes.position.array;
-      for (let i = 0; i < all.length; i += 3) { const p = new THREE.Vector3(all[i], all[i + 1], all[i + 2]); low.min(p); high.max(p); }
+      for (let i = 0; i < all.length; i += 3) { const p = new THREE.Vector3(all[i], all[i + 1], all[i + 2]); low.min(p); high.max(p); places.push(p); }
     }
-    this.view = new View(low, high, scene.look);
+    this.view = new View(low, high, scene.look, this.box ? [...places, ...this.corners()] : places);
     this.world = new THREE.Scene();
     this.world.add(this.parts.group, this.cloud.group);
     this.canvas = make("canvas", {className: "over", tabIndex: 0, data: {role: "application", "aria-label": this.getAttribute("label") || "3-D view; keys: ?"}});
@@ -142,7 +142,8 @@ class ScopeCloud extends HTMLElement {
       distance: picked.length === 2 ? `${figure(this.distance, scene.decimals)} mm` : "", drawn: this.drawn, drawing: this.mode, cross: this.byKeys && this.active});
     if (scene.points) {
       const shown = drawn < within ? `${drawn.toLocaleString("en")} of ${within.toLocaleString("en")} points in view` : `${within.toLocaleString("en")} points in view`;
-      this.panel.count.textContent = shown;
+      const higher = scene.stretch[2] === 1 ? "" : `; z shown ${scene.stretch[2]} times larger`;
+      this.panel.count.textContent = shown + higher;
       Object.assign(this.dataset, {drawn, within});
     }
     if (!moves && drawn < within) { this.still *= 2; this.draw(); }
@@ -191,6 +192,7 @@ class ScopeCloud extends HTMLElement {
 
   choose(row) {
     if (row === null) return;
+    if (this.mode === "distance" && this.picked.length === 1 && this.picked[0] === row) return; // the second half of a double click
     this.picked = this.mode === "distance" && this.picked.length === 1 ? [...this.picked, row] : [row];
     this.panel.showPicked(this.picked);
     this.tellPicked();
@@ -220,6 +222,13 @@ class ScopeCloud extends HTMLElement {
   }
 
   lookAlong(side) {
+    if (side === "at the points") {
+      const all = this.view.places;
+      this.view.places = this.corners();
+      this.view.fit();
+      Object.assign(this.view, {places: all, fitted: false});
+      this.draw();
+    }
     if (!(side in SIDES)) return;
     const names = SIDES[side];
     this.view.look(...(names ? names.map(n => UNIT[n]) : this.scene.look));
