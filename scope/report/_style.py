@@ -31,7 +31,7 @@ figure{margin:0;max-width:100%}figure img{max-width:100%;height:auto;border:1px 
 figure.whole{flex:1 1 100%}figure svg{max-width:100%;height:auto;display:block}
 figcaption{color:var(--soft);font-size:.88rem;max-width:40rem;margin-top:.2rem;overflow-wrap:anywhere}
 scope-cloud{display:block}
-@media (prefers-color-scheme:dark){svg path[fill=none],svg text[style]{filter:brightness(1.7)}}
+@media screen and (prefers-color-scheme:dark){svg path[fill=none],svg text[style]{filter:brightness(1.7)}}
 svg text{font:11px system-ui,sans-serif;fill:var(--ink)}svg .grid{stroke:var(--grid)}
 path.c0{stroke:var(--c0)}svg text.c0{fill:var(--c0)}path.c1{stroke:var(--c1)}svg text.c1{fill:var(--c1)}path.c2{stroke:var(--c2)}svg text.c2{fill:var(--c2)}path.c3{stroke:var(--c3)}svg text.c3{fill:var(--c3)}path.c4{stroke:var(--c4)}svg text.c4{fill:var(--c4)}path.c5{stroke:var(--c5)}svg text.c5{fill:var(--c5)}
 footer{margin-top:3rem;color:var(--faint);font-size:.85rem;border-top:1px solid var(--line);padding-top:.6rem}

@@ -1,7 +1,8 @@
 // What is shown beside points: lines, sheets of light and meshes, each of which can be switched off.
 
 const FLAT = {
-  vertexShader: "varying vec3 seen; void main() { vec4 p = modelViewMatrix * vec4(position, 1.0); seen = p.xyz; gl_Position = projectionMatrix * p; }",
+  vertexShader: `uniform float back; varying vec3 seen;
+    void main() { vec4 p = modelViewMatrix * vec4(position, 1.0); seen = p.xyz; gl_Position = projectionMatrix * (p - vec4(0.0, 0.0, back, 0.0)); }`,
   fragmentShader: `uniform vec3 colour; uniform float alpha; varying vec3 seen;
     void main() { vec3 n = normalize(cross(dFdx(seen), dFdy(seen))); gl_FragColor = vec4(colour * (0.45 + 0.55 * abs(n.z)), alpha); }`,
 };
@@ -16,8 +17,11 @@ class Parts {
       if (layer.faces) {
         geometry.setAttribute("position", new THREE.BufferAttribute(place(layer.vertices), 3));
         geometry.setIndex(layer.faces);
-        const material = new THREE.ShaderMaterial({...FLAT, transparent: true, depthWrite: false, side: THREE.DoubleSide,
-          uniforms: {colour: {value: new THREE.Vector3()}, alpha: {value: layer.role === "model" ? 0.55 : 0.3}}});
+        // A model hides what lies behind it, but no point that is a little within it: its depth is set back.
+        geometry.computeBoundingSphere();
+        const solid = layer.role === "model", back = solid ? 0.03 * geometry.boundingSphere.radius : 0;
+        const material = new THREE.ShaderMaterial({...FLAT, transparent: true, depthWrite: solid, side: THREE.DoubleSide,
+          uniforms: {colour: {value: new THREE.Vector3()}, alpha: {value: solid ? 1 : 0.3}, back: {value: back}}});
         made.mesh = new THREE.Mesh(geometry, material);
         made.mesh.renderOrder = -1;
         this.group.add(made.mesh);
