@@ -33,7 +33,7 @@ def viewer_code() -> str:
     fetched from its ``src`` (the bytes of `scene_bytes`). Attributes:
 
     - ``label``: what a screen reader says;
-    - ``fill``: as high as the window;
+    - ``fill``: as high as the window, or as the page's own style says; without it, as high as it needs to be;
     - ``region``: offers to draw a rectangle, seen along z.
 
     Events, which bubble: ``scope-pick`` with ``detail.picked`` (``row``, ``point`` in mm, ``values`` by name) and

@@ -80,7 +80,7 @@ class Overlay {
       const [p, q] = edge.seen, normal = [-(q[1] - p[1]) / long, (q[0] - p[0]) / long];
       const side = Math.sign(normal[0] * ((p[0] + q[0]) / 2 - middle[0]) + normal[1] * ((p[1] + q[1]) / 2 - middle[1])) || 1;
       const [nx, ny] = normal.map(v => v * side), factor = told.stretch[axis], shift = told.centre[axis];
-      const from = low[name] / factor + shift, to = high[name] / factor + shift, step = roundStep(((to - from) * 58) / long);
+      const from = low[name] / factor + shift, to = high[name] / factor + shift, step = roundStep(((to - from) * (level ? 58 : 30)) / long);
       const colour = PARTS[name][told.dark ? 1 : 0];
       for (let v = Math.ceil(from / step - 1e-9) * step; v <= to + 1e-9 * step; v += step) {
         const t = (v - from) / (to - from), x = p[0] + t * (q[0] - p[0]), y = p[1] + t * (q[1] - p[1]);
