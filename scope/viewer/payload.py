@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calibration.geometry import Array
+from calibration.geometry import Array, Bools
 from scope.viewer.scene import Layer, Scalar, Scene
 
 _FINEST = 1e-4  # mm: step of coordinates in a scene of 100 mm and more
@@ -27,16 +28,13 @@ _QUICK = 400_000  # points from which deflating is to be quick
 class _Column:
     start: float
     step: float
-    whole: np.ndarray[Any, np.dtype[np.int64]]  # (N,) steps from `start`
-    gaps: np.ndarray[Any, np.dtype[np.bool_]] | None  # (N,) where nothing is known
+    folded: NDArray[
+        np.uint32
+    ]  # (N,) differences of steps from `start`, their signs folded in: 0, -1, 1, -2 ... as 0, 1, 2, 3
+    gaps: Bools | None  # (N,) where nothing is known
 
     def told(self) -> dict[str, Any]:
         return {"start": self.start, "step": self.step, "planes": self.planes, "gaps": self.gaps is not None}
-
-    @property
-    def folded(self) -> np.ndarray[Any, np.dtype[np.uint32]]:
-        change = np.diff(self.whole, prepend=0).astype(np.int32)
-        return ((change << 1) ^ (change >> 31)).view(np.uint32)
 
     @property
     def planes(self) -> int:
@@ -44,8 +42,10 @@ class _Column:
         return (top.bit_length() + 7) // 8
 
     def bytes(self) -> bytes:
-        folded, gaps = self.folded, b"" if self.gaps is None else np.packbits(self.gaps).tobytes()
-        return b"".join((folded >> np.uint32(8 * k)).astype(np.uint8).tobytes() for k in range(self.planes)) + gaps
+        """Planes of bytes, the lowest first, then the mask of gaps."""
+        planes = self.folded.astype("<u4", copy=False).view(np.uint8).reshape(-1, 4)
+        gaps = b"" if self.gaps is None else np.packbits(self.gaps).tobytes()
+        return b"".join(planes[:, k].tobytes() for k in range(self.planes)) + gaps
 
 
 def scene_bytes(scene: Scene) -> bytes:
@@ -78,8 +78,9 @@ def _column(values: Array, step: float) -> _Column:
     known = np.isfinite(values)
     start = float(values[known][0]) if known.any() else 0.0
     filled = values if known.all() else np.where(known, values, start)
-    whole = np.clip(np.rint((filled - start) / step), -(2**29), 2**29).astype(np.int64)
-    return _Column(start, step, whole, None if known.all() else ~known)
+    whole = np.clip(np.rint((filled - start) / step), -(2**29), 2**29).astype(np.int32)
+    change = np.diff(whole, prepend=np.int32(0))
+    return _Column(start, step, ((change << 1) ^ (change >> 31)).view(np.uint32), None if known.all() else ~known)
 
 
 def _step_of(scalar: Scalar) -> float:

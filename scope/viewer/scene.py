@@ -42,13 +42,19 @@ class Scalar:
     names: tuple[str, ...] = ()
     limits: tuple[float, float] | None = None  # of the colours to begin with; None: the 2nd and 98th percentile
 
+    def __post_init__(self) -> None:
+        """Take usual limits where none are given."""
+        if self.limits is None:
+            object.__setattr__(self, "limits", self._usual())
+
     @property
     def usual(self) -> tuple[float, float]:
         """Limits of the colours to begin with; symmetric about zero for a deviation."""
+        return self.limits if self.limits is not None else (0.0, 1.0)
+
+    def _usual(self) -> tuple[float, float]:
         if self.kind == "names":
             return 0.0, float(max(0, len(self.names) - 1))
-        if self.limits is not None:
-            return self.limits
         known = self.values[np.isfinite(self.values)]
         if len(known) == 0:
             return 0.0, 1.0
@@ -116,7 +122,7 @@ class Scene:
         if n <= limit:
             return self
         chosen = np.sort(_along_curve(self.points)[((np.arange(limit) + 0.5) * n / limit).astype(np.int64)])
-        scalars = tuple(replace(scalar, values=scalar.values[chosen], limits=scalar.usual) for scalar in self.scalars)
+        scalars = tuple(replace(scalar, values=scalar.values[chosen]) for scalar in self.scalars)
         rows = chosen if self.rows is None else self.rows[chosen]
         return replace(self, points=self.points[chosen], scalars=scalars, of=self.of or n, rows=rows)
 

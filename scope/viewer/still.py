@@ -14,6 +14,7 @@ from scope.viewer.scene import Layer, Scalar, Scene
 Picture: TypeAlias = NDArray[np.uint8]  # (rows, columns, 3) BGR
 
 _WIDTH, _HEIGHT, _BAR = 860, 560, 118
+_DOTS = 400_000  # points that a picture of this size can show
 _INK, _UNKNOWN = (48, 36, 28), 140
 _PARTS = {
     "camera": (173, 92, 11), "ray": (150, 138, 122), "volume": (58, 109, 123), "stage": (0, 92, 179), "model": (185, 178, 170),
@@ -75,6 +76,7 @@ def scalar_bgr(scalar: Scalar) -> Picture:
 
 def still(scene: Scene) -> Picture:
     """The scene as the viewer first shows it, on white, with the colour bar; (rows, columns, 3) BGR."""
+    scene = scene.thinned(_DOTS)
     places = np.concatenate([scene.points, *(layer.places for layer in scene.layers)])
     picture = np.full((_HEIGHT, _WIDTH, 3), 255, dtype=np.uint8)
     if len(places) == 0:
