@@ -28,10 +28,13 @@ from benchmarks.shared import head, row
 from calibration.geometry import Array, Ints, Pose
 from scope.calibrating import calibrate
 from scope.cloud import Polygon, ScanCloud
-from scope.model import Model, Scanned, Surface, Weighting, evaluate
+from scope.model import Model, Surface
 from scope.model.model import prepare_model
 from scope.optional import import_open3d
-from scope.pose import estimate_pose, viewpoints
+from scope.pose import estimate_pose
+from scope.pose.visibility import seen_of
+from scope.refinement import Frame
+from scope.refinement.system import rows_at
 from scope.scanning import scan
 from scope.simulation import read_design, simulate
 
@@ -147,14 +150,14 @@ def scans(numbers: range, keep: Path | None, most: int) -> Iterator[Scan]:
 
 
 def bound(surface: Surface, cloud: ScanCloud, truth: Pose, centre: Array) -> tuple[float, float]:
-    """Cramer-Rao bound: rms turn in degrees and rms shift of the middle in mm."""
-    camera = viewpoints(cloud, np.arange(len(cloud)))[0]
-    scanned = Scanned(cloud.points, cloud.sigma.astype(np.float64), camera)
-    fit = evaluate(surface, truth, scanned, cut=0.3, weighting=Weighting(0.0))
-    arm = truth.apply(centre) - truth.translation
-    j = fit.jacobian[fit.used].copy()
-    j[:, 3:] -= np.cross(arm, j[:, :3])
-    covariance = np.linalg.inv((j.T / fit.variance[fit.used]) @ j)
+    """Cramer-Rao bound: rms turn in degrees and rms shift of the middle in mm.
+
+    Every point counts with its own sigma along the way that its stripe moves it, as if it stood on the face it is nearest to.
+    """
+    seen = seen_of(cloud, np.arange(len(cloud)), cloud.sigma.astype(np.float64))
+    rows = rows_at(surface, truth, seen, Frame(centre, 1.0), 0.5)
+    spread = seen.scan.sigma * rows.across
+    covariance = np.linalg.inv((rows.jacobian[rows.used].T / spread[rows.used] ** 2) @ rows.jacobian[rows.used])
     return float(np.degrees(np.sqrt(np.trace(covariance[3:, 3:])))), float(np.sqrt(np.trace(covariance[:3, :3])))
 
 

@@ -37,10 +37,12 @@ class Scanned:
     points: Array  # (N, 3) mm, cloud frame
     sigma: Array  # (N,) mm along the sighting ray; across the surface where the camera is unknown
     camera: Array | None  # (N, 3) mm, where the camera was for each point
+    line: Array | None = None  # (N, 3) its motion for 1 mm along the sighting ray when its stripe is misjudged
 
     def only(self, rows: Any) -> Scanned:
         """Some of them."""
-        return Scanned(self.points[rows], self.sigma[rows], None if self.camera is None else self.camera[rows])
+        camera, line = (None if values is None else values[rows] for values in (self.camera, self.line))
+        return Scanned(self.points[rows], self.sigma[rows], camera, line)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +67,8 @@ def refine(surface: Surface, pose: Pose, scan: Scanned, *, reach: tuple[float, .
     pose : Pose
         cloud_from_model to begin with, within about the first ``reach``.
     scan : Scanned
-        Its sigma is along the sighting ray, so that a surface seen at a slant is known better across it.
+        Its sigma is along the sighting ray, so that a surface seen at a slant is known better across it: by what its line of
+        motion moves across the surface where that is known, else by the slant, which leaves out that a stripe moves in its sheet.
     reach : tuple of float, mm
         Points further from the surface have no weight, one value a step.
     weighting : Weighting
@@ -105,7 +108,10 @@ def evaluate(surface: Surface, pose: Pose, scan: Scanned, *, cut: float, weighti
         ray = camera - points
         slope = (ray * normal).sum(axis=1) / np.linalg.norm(ray, axis=1)
         facing = slope > GRAZING
-    variance = (sigma * np.maximum(slope, SLANT)) ** 2 + floor**2
+    across = np.maximum(slope, SLANT)
+    if scan.line is not None:
+        across = np.maximum(np.abs((scan.line * normal).sum(axis=1)), GRAZING)
+    variance = (sigma * across) ** 2 + floor**2
     below = aside < 0.3 * sigma + 0.01  # the nearest surface is straight below, not an edge
     margin = EDGE * sigma + weighting.edge
     far = surface.crease_distance(closest, float(margin.max())) > margin

@@ -27,7 +27,8 @@ from scope.pose.residuals import residuals_by_face
 from scope.pose.rim import settle_by_rim
 from scope.pose.search import View, normals_of, polish, search, thin
 from scope.pose.uncertainty import Shared, Uncertainty, shared_errors, uncertainty
-from scope.pose.visibility import Visibility, viewpoints, visibility_of
+from scope.pose.visibility import Visibility, seen_of, viewpoints, visibility_of
+from scope.refinement import Frame, Held, Seen, refined
 from scope.variants import MIRROR, Evidence, Undecided, Variant, judge
 
 CLEAR_EXPLAINED = 0.9  # share of the points, above which a first search is not repeated with more starts
@@ -43,9 +44,13 @@ class Piece:
     model: Model
     surface: Surface
     options: PoseOptions
-    scan: Scanned  # its points, all of them
-    laser: Array | None  # (N, 3) mm, for each point
+    seen: Seen  # its points, all of them
     visibility: Visibility | None
+
+    @property
+    def scan(self) -> Scanned:
+        """The points, as alignment sees them."""
+        return self.seen.scan
 
 
 def locate(
@@ -92,7 +97,7 @@ def _prepared(
         far_camera, far_laser = viewpoints(cloud, others)
         background = View(cloud.points[others], np.zeros((len(others), 3)), far_camera, far_laser)
     visibility = visibility_of(cloud, cloud.points[others], voxel=1.5 * spacing)
-    piece = Piece(cloud, rows, model, surface, options, Scanned(points, sigma, camera), laser, visibility)
+    piece = Piece(cloud, rows, model, surface, options, seen_of(cloud, rows, sigma), visibility)
     return piece, Scene(view, sigma[chosen], visibility, background, options.tolerance, spacing)
 
 
@@ -190,26 +195,33 @@ def _calibration(piece: Piece) -> Shared:
 
 def _refined(piece: Piece, start: Pose, calibration: Shared, *, settle: bool) -> tuple[Fit, Uncertainty, bool]:
     """The pose on all points, how sure it is, and whether borders had to place faces that slide in themselves."""
-    model, surface, scan = piece.model, piece.surface, piece.scan
-    reach, radius = max(10 * float(np.median(scan.sigma)), 0.5), model.diameter / 2
-    weighting = Weighting(piece.options.form)
-    fit = refine(surface, start, scan, reach=(reach,) * 2, weighting=weighting)
-    middle = fit.pose.apply(model.centre)
-    known = uncertainty(fit, scan.points, calibration, centre=middle, radius=radius)
-    loose = _but_axis(model, fit.pose, known.loose_motions, middle)
+    model, surface, scan, form = piece.model, piece.surface, piece.scan, piece.options.form
+    frame = Frame(model.centre, model.diameter / 2)
+    reach = max(10 * float(np.median(scan.sigma)), 0.5)
+    weighting = Weighting(form)
+    rough = refine(surface, start, scan, reach=(reach,) * 2, weighting=weighting).pose
+
+    def known_at(pose: Pose, held: Held | None = None) -> tuple[Fit, Uncertainty, Array]:
+        found = refined(surface, pose, piece.seen, frame, cut=reach, form=form, held=held)
+        middle = found.pose.apply(model.centre)
+        known = uncertainty(found, piece.seen, calibration, centre=middle, radius=frame.radius)
+        fit = evaluate(surface, found.pose, scan, cut=reach, weighting=weighting)
+        return fit, known, _but_axis(model, found.pose, known.loose_motions, middle)
+
+    fit, known, loose = known_at(rough)
     if not settle or not len(loose):
         return fit, known, False
+    middle = fit.pose.apply(model.centre)
     local = fit.pose.inverse.apply(scan.points)
     near = np.linalg.norm(surface.nearest(local)[0] - local, axis=1) < 1.5 * REACH
-    sliding = Sliding(fit.pose, loose, scan.points[near], scan.sigma[near], middle, radius)
+    sliding = Sliding(fit.pose, loose, scan.points[near], scan.sigma[near], middle, frame.radius)
     settled = settle_by_borders(surface, sliding)
     if settled is None and piece.visibility is not None:
         settled = settle_by_rim(surface, model, sliding, piece.visibility)
     if settled is None:
         return fit, known, False
-    fit = evaluate(surface, settled[0], scan, cut=reach, weighting=weighting)
-    held = loose / settled[1][:, None]
-    return fit, uncertainty(fit, scan.points, calibration, centre=middle, radius=radius, held=held), True
+    fit, known, _ = known_at(settled[0], Held(settled[0], loose, settled[1]))
+    return fit, known, True
 
 
 def _decide(piece: Piece, rated: list[Likelihood], view: View) -> PoseResult:
@@ -270,7 +282,7 @@ def _judged(piece: Piece, pose: Pose, calibration: Shared, view: View) -> tuple[
     if not np.isfinite(tolerance):
         return None, ()
     evidence = Evidence(
-        piece.model, piece.surface, pose, piece.scan, piece.laser, calibration.basis, piece.cloud.points, tolerance
+        piece.model, piece.surface, pose, piece.scan, piece.seen.laser, calibration.basis, piece.cloud.points, tolerance
     )
     return judge(evidence, lambda: _mirrored(piece, view))
 

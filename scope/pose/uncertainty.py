@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.geometry import Array
-from scope.model import Fit, patches
+from calibration.geometry import Array, Ints
+from scope.model import patches
+from scope.refinement import Estimate, Seen
 
 LOOSE_MM = 0.12  # a direction known worse than this (or its turn at half a diameter) is not determined
-FEW = 12.0  # points or fewer in effect hold nothing: they may all lie on an edge
-PRIOR_MM = 100.0  # a direction that nothing holds is given about this much
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,71 +42,64 @@ class Shared:
         return np.nan_to_num(self.sigma_cal).astype(np.float64)[:, None]
 
 
-def uncertainty(
-    fit: Fit, points: Array, calibration: Shared, *, centre: Array, radius: float, held: Array | None = None
-) -> Uncertainty:
+def uncertainty(estimate: Estimate, seen: Seen, calibration: Shared, *, centre: Array, radius: float) -> Uncertainty:
     """Covariance of a refined pose.
 
     Parameters
     ----------
-    fit : Fit
-        The pose and its linear system.
-    points : (N, 3)
-        mm, cloud frame.
+    estimate : Estimate
+        The pose, with the gain of every residual.
+    seen : Seen
+        The points (N), and their lines of the image where known.
     calibration : Shared
         What these points share.
     centre, radius : (3,) mm, mm
         Middle of the part in the cloud and half its diameter: a turn is judged by what it moves there.
-    held : (L, 6), optional
-        Further rows of the linear system in these units, each divided by its standard deviation (mm): motions that the
-        borders of the surface stop (`scope.pose.borders`).
 
     Notes
     -----
-    The estimate is that of weighted least squares, x = A e with A = H^-1 J^T W, so that its covariance is A cov(e) A^T.
-    For the points' own errors cov(e) is taken from the residuals, those of one patch (a twentieth of the diameter) being
-    allowed any correlation (the cluster-robust estimate of Liang & Zeger 1986): claimed sigmas that are too small, facets
-    and errors of form then show. The shared part has rank K. A bias that is the same over the whole part does not show.
+    The estimate is that of weighted least squares, x = A e, so that its covariance is A cov(e) A^T. For the points' own errors
+    cov(e) is taken from the residuals, those of one patch (a twentieth of the diameter) being allowed any correlation (the
+    cluster-robust estimate of Liang & Zeger 1986), and those of one line of the image, too (two ways at once: Cameron, Gelbach &
+    Miller 2011): the noise of a background image that is taken off all frames stays on its line. Claimed sigmas that are too small,
+    facets and errors of form then show. What the points of a face share enters with the size that the faces show. The part of the
+    calibration has rank K. A bias that is the same over the whole part does not show.
     """
-    j, w, used = fit.jacobian, fit.weight, fit.weight > 0
-    j, w = j[used], w[used]
-    scale = np.array([1.0, 1.0, 1.0, 1 / radius, 1 / radius, 1 / radius])
-    # parameters at the middle of the part and in mm: (shift of the middle, turn times radius)
-    to_origin = _shift_reference(centre - fit.pose.translation)
-    js = (j @ to_origin) * scale
-    extra = np.zeros((0, 6)) if held is None else held
-    h = js.T @ (w[:, None] * js) + extra.T @ extra
-    value, vector = np.linalg.eigh(h)
-    share = (
-        w[:, None] * (js @ vector) ** 2 / np.maximum(value, 1e-12 * value[-1])
-    )  # of what is known of a direction, by point
-    many = (share**2).sum(axis=0) < 1 / FEW
-    many |= ((extra @ vector) ** 2).sum(axis=0) > 1 / LOOSE_MM**2  # or a border holds it
-    held = many & (value > len(w) * 1e-12 * value[-1])
-    spread = np.where(held, 1 / np.sqrt(np.maximum(value, 1e-300)), PRIOR_MM)
-    spread = np.minimum(spread, PRIOR_MM)
-    inverse = (vector * spread**2) @ vector.T
-    a = inverse @ (js * w[:, None]).T  # (6, N)
+    points, gain = seen.scan.points, estimate.gain
+    push = gain * estimate.left
+    used = np.flatnonzero(np.abs(gain).sum(axis=0) > 0)
     patch = patches(points[used], radius / 10)
-    pushes = np.stack([np.bincount(patch, weights=row) for row in a * fit.residual[used]])  # (6, patches)
-    few = len(pushes.T) / max(len(pushes.T) - 6.0, 1.0)
-    random = (
-        few * pushes @ pushes.T
-        + inverse @ extra.T @ extra @ inverse
-        + (vector * np.where(spread >= PRIOR_MM, PRIOR_MM**2, 0.0)) @ vector.T
-    )
+    random = _clustered(push[:, used], patch)
+    if seen.line is not None and len(used):
+        both = np.unique(np.column_stack([patch, seen.line[used]]), axis=0, return_inverse=True)[1].ravel()
+        more = _clustered(push[:, used], seen.line[used]) - _clustered(push[:, used], both)
+        value, vector = np.linalg.eigh(more)
+        random = random + (vector * np.maximum(value, 0.0)) @ vector.T
+    alike = np.stack([np.bincount(estimate.group, weights=row) for row in gain])
+    random = random + estimate.shared**2 * alike @ alike.T + estimate.fixed
     shared = np.zeros((6, 6))
     if calibration.camera is not None:
-        ray = points[used] - calibration.camera[used]
+        ray = points - calibration.camera
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-        along = (ray * fit.normal[used]).sum(axis=1)  # residual for 1 mm along the ray
-        move = a @ (along[:, None] * calibration.basis[used])  # (6, K)
+        along = (ray * estimate.normal).sum(axis=1)  # residual for 1 mm along the ray
+        move = gain @ (along[:, None] * calibration.basis)  # (6, K)
         shared = move @ move.T
     total = random + shared
     loose_motions, words = _loose(random)
-    unscale = to_origin * scale  # back to the model's origin, rad
+    scale = np.array([1.0, 1.0, 1.0, 1 / radius, 1 / radius, 1 / radius])
+    unscale = _shift_reference(centre - estimate.pose.translation) * scale  # back to the model's origin, rad
     total, random, shared = (unscale @ c @ unscale.T for c in (total, random, shared))
     return Uncertainty(total, random, shared, words, loose_motions)
+
+
+def _clustered(push: Array, key: Ints) -> Array:
+    """Covariance (6, 6) of a sum of pushes (6, N) that are alike in any way within the groups of ``key`` (N,)."""
+    if push.shape[1] == 0:
+        return np.zeros((6, 6))
+    number = np.unique(key, return_inverse=True)[1].ravel()
+    sums = np.stack([np.bincount(number, weights=row) for row in push])
+    many = sums.shape[1]
+    return np.asarray(many / max(many - 6.0, 1.0) * sums @ sums.T)
 
 
 def shared_errors(points: Array, camera: Array, normal: Array, sigma_cal: Array) -> Array | None:

@@ -9,7 +9,8 @@ import numpy as np
 
 from calibration.geometry import Array, Bools, Ints, Plane, Pose, fit_plane, rotation_from_quaternion
 from scope.cloud import ScanCloud
-from scope.model import Surface, hidden
+from scope.model import Scanned, Surface, hidden
+from scope.refinement import UNKNOWN_WIDTH, Seen, Stripe, motions_of
 
 LEAST_COSINE = 0.3  # surface at a greater slant to camera or laser is not counted on
 
@@ -102,18 +103,60 @@ class Visibility:
 
 def viewpoints(cloud: ScanCloud, rows: Ints) -> tuple[Array | None, Array | None]:
     """Camera and laser (N, 3) of each point; None where the cloud does not tell."""
+    sensors, found = cloud.sensors, _sensor_of(cloud, rows)
+    if sensors is None or found is None or not np.isfinite(sensors.centre).all():
+        return None, None
+    laser = sensors.laser_origin[found]
+    return sensors.centre[found], laser if np.isfinite(laser).all() else None
+
+
+def _sensor_of(cloud: ScanCloud, rows: Ints) -> Ints | None:
+    """Row of the sensors (N,) of each point; None where one has none."""
     sensors = cloud.sensors
     if sensors is None or len(sensors) == 0:
-        return None, None
+        return None
     key = sensors.frame.astype(np.int64) * 256 + sensors.laser
     order = np.argsort(key)
     wanted = cloud.frame[rows].astype(np.int64) * 256 + cloud.laser[rows]
     place = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
     found = order[place]
-    if not (key[found] == wanted).all() or not np.isfinite(sensors.centre).all():
-        return None, None
-    laser = sensors.laser_origin[found]
-    return sensors.centre[found], laser if np.isfinite(laser).all() else None
+    return np.asarray(found) if (key[found] == wanted).all() else None
+
+
+def stripe_of(cloud: ScanCloud, rows: Ints) -> Stripe | None:
+    """The sheet of light and the camera's axis across the stripe at each point; None where the cloud does not tell them.
+
+    The sheet is that of all points of a laser in the camera's own frame, the axis that of the image which it crosses more.
+    """
+    camera, laser = viewpoints(cloud, rows)
+    found = _sensor_of(cloud, rows)
+    if camera is None or found is None or cloud.sensors is None:
+        return None
+    turn = np.stack([rotation_from_quaternion(q) for q in cloud.sensors.rotation])
+    sheet, across = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
+    for number in np.unique(cloud.laser[rows]):
+        plane, _ = sheet_and_window(cloud, np.flatnonzero(cloud.sensors.laser == number))
+        if plane is None:
+            return None
+        axis = np.eye(3)[int(np.argmax(np.abs(plane.normal[:2])))]
+        mine = cloud.laser[rows] == number
+        sheet[mine], across[mine] = turn[found[mine]] @ plane.normal, turn[found[mine]] @ axis
+    known = [w for w in cloud.stripe_width if np.isfinite(w) and w > 0]
+    return Stripe(sheet, across, laser, float(np.median(known)) if known else UNKNOWN_WIDTH)
+
+
+def seen_of(cloud: ScanCloud, rows: Ints, sigma: Array) -> Seen:
+    """The points of a part with all that the cloud knows of how they were seen; ``sigma`` (N,) mm without gaps."""
+    points, (camera, laser), stripe = cloud.points[rows], viewpoints(cloud, rows), stripe_of(cloud, rows)
+    line = None if stripe is None or camera is None else motions_of(points, camera, stripe.sheet, stripe.across)
+    pixels = cloud.pixels[rows]
+    whole = None
+    if len(rows) and np.isfinite(pixels).all():
+        rest = np.abs(pixels - np.round(pixels)).mean(axis=0)
+        whole = np.round(pixels[:, int(np.argmin(rest))]).astype(np.int64)
+    stated = bool(np.isfinite(cloud.sigma[rows]).any())
+    width = UNKNOWN_WIDTH if stripe is None else stripe.width
+    return Seen(Scanned(points, sigma, camera, line), stripe, laser, stated, whole, width)
 
 
 def visibility_of(cloud: ScanCloud, others: Array, *, voxel: float, rows: int = 32) -> Visibility | None:

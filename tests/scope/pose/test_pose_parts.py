@@ -22,10 +22,8 @@ from scope.model import (
     Model,
     Scanned,
     Surface,
-    Weighting,
     align,
     angle_between,
-    evaluate,
     hidden,
     load_model,
     rotations,
@@ -38,9 +36,10 @@ from scope.pose.estimate import PoseOptions
 from scope.pose.placed import frame_of, write_deviation
 from scope.pose.search import View
 from scope.pose.segmentation import clusters, extent
-from scope.pose.uncertainty import Shared, uncertainty
+from scope.pose.uncertainty import Shared, Uncertainty, uncertainty
 from scope.pose.visibility import visibility_of
 from scope.pose.wording import pose_result, roll_pitch_yaw
+from scope.refinement import Frame, Held, Seen, refined
 
 
 @cache
@@ -178,13 +177,16 @@ class TestSharpEdges:
         )
         points = np.concatenate([top, [[50.0, 20, 10], [25, 40, 9.0]]])
         scan = Scanned(points, np.full(len(points), 0.02), None)
-        fit = evaluate(surface, Pose.identity(), scan, cut=0.5, weighting=Weighting(0.01))
-        assert (fit.weight > 0)[-2:].all()
+        seen, frame = Seen(scan, None, None, stated=True, line=None), Frame(np.array([25.0, 20, 11]), 33.0)
         alone = Shared(None, np.zeros(len(points)), None)
-        known = uncertainty(fit, points, alone, centre=np.array([25.0, 20, 11]), radius=33.0)
-        assert len(known.loose) == 3
-        borders = known.loose_motions / 0.03
-        settled = uncertainty(fit, points, alone, centre=np.array([25.0, 20, 11]), radius=33.0, held=borders)
+
+        def known(held: Held | None = None) -> Uncertainty:
+            found = refined(surface, Pose.identity(), seen, frame, cut=0.5, form=0.01, held=held)
+            return uncertainty(found, seen, alone, centre=frame.middle, radius=frame.radius)
+
+        free = known()
+        assert len(free.loose) == 3
+        settled = known(Held(Pose.identity(), free.loose_motions, np.full(3, 0.03)))
         assert settled.loose == ()  # what its rim holds is held, grazing points or not
 
 
