@@ -5,7 +5,7 @@ SciPy nor Open3D.
 
 In: files or arrays: images of targets, laser stripes, a mesh, a cloud.
 Out: rigs, clouds, roughness, poses, checks, and the pages that show them.
-Read: the rooms session, cameras, calibrating, hand_eye, scanning, cloud, merge; heightmap, roughness, model, variants, pose, check, inspection, acceptance, watch, export;
+Read: the rooms session, cameras, calibrating, hand_eye, scanning, cloud, merge; heightmap, roughness, model, variants, refinement, pose, check, inspection, acceptance, watch, export;
     simulation, design, printing, viewer, report, history, console, design_report, batch, demo. Tools: mesh, origin, optional, errors, version.
 """
 
