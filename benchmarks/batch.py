@@ -1,6 +1,6 @@
 """A day on workers: the same table whatever their number, nothing lost when they die, and what the engine costs.
 
-    python -m benchmarks.batch [--sessions 64] [--jobs 1 2 4] [--kill 10]
+    python -m benchmarks.batch [--sessions 64] [--jobs 1 2 4] [--kill 10] [--small]
     python -m benchmarks.batch memory [--sessions 2000]
 
 Sessions are simulated scans of a sphere and a plate, each with its own noise; the peer is their own time, as each session measures it in
@@ -22,45 +22,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.small_session import DESIGN, design_text, small_session
 from cli.batch import run_words
 from scope.batch import Answer, Day, DayOptions, parse_steps, run_day
 
-DESIGN = """
-format = 1
-[camera]
-size = [640, 480]
-focal_px = 700.0
-centre_px = [322.0, 236.0]
-[laser]
-origin = [0.0, -150.0, 8.0]
-through = [0.0, 0.0, 340.0]
-width = 0.5
-roll = 3.0
-[jig]
-stand_offs = [300.0, 330.0, 360.0, 390.0]
-rows = 11
-columns = 15
-pitch = 16.0
-diameter = 6.0
-fiducials = [[5, 7], [5, 9], [2, 7]]
-fiducial_diameter = 9.0
-images = 2
-laser_images = 1
-[[object]]
-solid = "sphere"
-radius = 20.0
-origin = [-35.0, 0.0, 352.0]
-[[object]]
-solid = "plane"
-origin = [0.0, 0.0, 372.0]
-[motion]
-kind = "linear"
-direction = [0.0, 1.0, 0.0]
-start = -11.0
-step = 2.0
-frames = 12
-off_images = 2
-"""
 KILLED: list[float] = []  # when a worker was
 DO = "scan; check -a sphere:d=40 --region box:-60,-10,-30,30"
 
@@ -83,16 +48,15 @@ def pretend(words: list[str]) -> Answer:
     return Answer(3 if "doubt" in order else 0, result, "is doubtful" if "doubt" in order else "")
 
 
-def sessions(folder: Path, count: int) -> tuple[list[Path], Path]:
+def sessions(folder: Path, count: int, *, small: bool = False) -> tuple[list[Path], Path]:
     """Captures with noise of their own, and the rig that is calibrated for them."""
     import cv2
 
-    from scope import simulation
-    from scope.calibrating import calibrate
-
-    (folder / "design.toml").write_text(DESIGN, encoding="utf-8")
-    simulation.simulate(simulation.read_design(folder / "design.toml"), folder / "first", np.random.default_rng(7))
-    calibrate(folder / "first" / "calibration.toml").rig.save(folder / "rig.json")
+    shutil.copy(
+        small_session(folder, design_text(size=(320, 240), frames=8, step=3.0) if small else DESIGN, name="first")
+        / "rig.json",
+        folder,
+    )
     captures = []
     for k in range(count):
         rng, home = np.random.default_rng(k), folder / f"s{k:03d}"
@@ -139,11 +103,11 @@ def run(captures: list[Path], rig: Path, table: Path, jobs: int, *, kill: float 
         stop.set()
 
 
-def day(count: int, jobs: list[int], kill: float) -> None:
+def day(count: int, jobs: list[int], kill: float, *, small: bool = False) -> None:
     print("| workers | killed every | killed | sessions | failed | begun again | overhead over own times | table |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     with tempfile.TemporaryDirectory() as name:
-        captures, rig = sessions(Path(name), count)
+        captures, rig = sessions(Path(name), count, small=small)
         first = ""
         for workers, every in [*((j, 0.0) for j in jobs), *([(jobs[-1], kill)] if kill else [])]:
             table = Path(name) / "day.csv"
@@ -187,11 +151,12 @@ def main() -> None:
     parser.add_argument("--sessions", type=int)
     parser.add_argument("--jobs", type=int, nargs="+", default=[1, 2, 4])
     parser.add_argument("--kill", type=float, default=10.0)
+    parser.add_argument("--small", action="store_true", help="sessions of 8 frames of 320 x 240 px")
     told = parser.parse_args()
     if told.work == "memory":
         memory(told.sessions or 2000)
     else:
-        day(told.sessions or 64, told.jobs, told.kill)
+        day(told.sessions or 64, told.jobs, told.kill, small=told.small)
 
 
 if __name__ == "__main__":

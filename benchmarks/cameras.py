@@ -22,42 +22,10 @@ import time
 import urllib.request
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from benchmarks.small_session import design_text, small_session
 
-DESIGN = """
-format = 1
-[camera]
-size = [{columns}, {rows}]
-focal_px = {focal}
-centre_px = [{cx}, {cy}]
-[laser]
-origin = [0.0, -150.0, 8.0]
-through = [0.0, 0.0, 340.0]
-width = 0.4
-[jig]
-stand_offs = [300.0, 340.0, 380.0]
-rows = 11
-columns = 15
-pitch = 16.0
-diameter = 6.0
-fiducials = [[5, 7], [5, 9], [2, 7]]
-fiducial_diameter = 9.0
-images = 1
-laser_images = 1
-[[object]]
-solid = "sphere"
-radius = 20.0
-origin = [-35.0, 0.0, 352.0]
-[[object]]
-solid = "plane"
-origin = [0.0, 0.0, 372.0]
-[motion]
-kind = "linear"
-direction = [0.0, 1.0, 0.0]
-start = -12.0
-step = 0.5
-frames = 48
-"""
+ROOT = Path(__file__).resolve().parents[1]
+SLOW = {"frames": 48, "start": -12.0, "step": 0.5, "width": 0.4}  # a scan long enough to be killed in
 
 
 def memory() -> float:
@@ -143,22 +111,17 @@ class RealTime:
 
 
 def live(rate: float, frames: int, size: tuple[int, int]) -> None:
-    from scope.calibrating import calibrate
+    from calibration.rig import Rig
     from scope.cameras import CameraSource, Grabber
     from scope.scanning import gathered, open_scan
     from scope.session import image_files, read_capture, read_image
-    from scope.simulation import simulate
 
-    columns, rows = size
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
-        scale = columns / 640.0
-        text = DESIGN.format(columns=columns, rows=rows, focal=700.0 * scale, cx=columns / 2, cy=rows / 2)
-        (home / "design.toml").write_text(text, encoding="utf-8")
         began = time.perf_counter()
-        simulate(home / "design.toml", home / "s")
+        small_session(home, design_text(size=size, **SLOW), name="s")
         rendered = time.perf_counter() - began
-        rig = calibrate(home / "s" / "calibration.toml").rig
+        rig = Rig.load(home / "s" / "rig.json")
         images = [read_image(path) for path in image_files(home / "s" / "frames")]
         motion = '[motion]\nkind = "linear"\nmoves = "object"\ndirection = [0, 1, 0]\nstep = 0.5\n'
         (home / "live.toml").write_text(
@@ -174,7 +137,7 @@ def live(rate: float, frames: int, size: tuple[int, int]) -> None:
             found = gathered(setup, source)
             seconds = time.perf_counter() - began
         lost = grabber.camera.dropped + grabber.lost
-        print(f"live {columns} x {rows} at {rate:g}/s: {found.frames} of {frames} frames ranged in {seconds:.1f} s, {lost} lost; the machine renders "
+        print(f"live {size[0]} x {size[1]} at {rate:g}/s: {found.frames} of {frames} frames ranged in {seconds:.1f} s, {lost} lost; the machine renders "
               f"{48 / rendered:.1f}/s (with the jig); load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")  # fmt: skip
 
 
@@ -205,18 +168,12 @@ def started(session: Path, design: Path) -> tuple[subprocess.Popen[bytes], str, 
 
 def kill(times: int, seed: int) -> None:
     """Killed (SIGKILL) at random moments of a scan: what the folder holds is ranged by the command's function."""
-    from scope.calibrating import calibrate
     from scope.scanning import run_scan
-    from scope.simulation import simulate
 
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
-        (home / "design.toml").write_text(
-            DESIGN.format(columns=640, rows=480, focal=700.0, cx=320, cy=240), encoding="utf-8"
-        )
-        simulate(home / "design.toml", home / "s")
-        calibrate(home / "s" / "calibration.toml").rig.save(home / "rig.json")
+        shutil.copy(small_session(home, design_text(**SLOW), name="s") / "rig.json", home)
         first, usable, worst = [], 0, 0
         for k in range(times):
             session = home / f"session{k}"

@@ -31,45 +31,10 @@ from typing import Any
 import numpy as np
 from typer.testing import CliRunner
 
+from benchmarks.small_session import small_session
 from cli.console import libraries_silenced
 from cli.main import app
 
-DESIGN = """
-format = 1
-[camera]
-size = [640, 480]
-focal_px = 700.0
-centre_px = [322.0, 236.0]
-distortion = [-0.12, 0.03, 0.0004, -0.0003, 0.0]
-[laser]
-origin = [0.0, -150.0, 8.0]
-through = [0.0, 0.0, 340.0]
-width = 0.5
-roll = 3.0
-[jig]
-stand_offs = [300.0, 330.0, 360.0, 390.0]
-rows = 11
-columns = 15
-pitch = 16.0
-diameter = 6.0
-fiducials = [[5, 7], [5, 9], [2, 7]]
-fiducial_diameter = 9.0
-laser_images = 1
-[[object]]
-solid = "sphere"
-radius = 20.0
-origin = [-35.0, 0.0, 352.0]
-[[object]]
-solid = "plane"
-origin = [0.0, 0.0, 372.0]
-[motion]
-kind = "linear"
-direction = [0.0, 1.0, 0.0]
-start = -11.0
-step = 2.0
-frames = 12
-off_images = 2
-"""
 KINDS = ("tracebacks", "silent wrong", "half-written", "lines")
 _IMPOSSIBLE = (
     "1e999",
@@ -377,16 +342,6 @@ def _says_else(whole: bytes, spoiled: bytes) -> bool:
         return False
 
 
-def session(folder: Path) -> Path:
-    """A simulated session, calibrated."""
-    from scope import calibrate, simulate
-
-    (folder / "design.toml").write_text(DESIGN, encoding="utf-8")
-    simulate(folder / "design.toml", folder / "s", 7)
-    calibrate(folder / "s" / "calibration.toml").rig.save(folder / "s" / "rig.json")
-    return folder / "s"
-
-
 def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("--inputs", type=int, default=2000)
@@ -395,7 +350,7 @@ def main() -> None:
     options = asked.parse_args()
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
-        folder = session(Path(name))
+        folder = small_session(Path(name))
         prepare(folder)
         failures, told, exits = campaign(folder, options.inputs, seed=options.seed, only=options.only)
     print("\n".join(told))

@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from benchmarks.small_session import DESIGN
 from calibration.rig import Rig
 from scope import simulation
 from scope.calibrating import calibrate
 from scope.check import check_artefact
 from scope.scanning import scan
 from scope.watch import correct_rig, read_artefact
-from tests.conftest import DESIGN
 
 ERROR = 0.001
 FINER = (

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import DESIGN
+from benchmarks.small_session import DESIGN
 
 ROOT = Path(__file__).resolve().parents[2]
 CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))

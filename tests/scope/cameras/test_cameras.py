@@ -97,7 +97,7 @@ def test_a_folder_and_its_replay_give_one_cloud_bit_for_bit(session, tmp_path: P
 
 @pytest.fixture(scope="module")
 def design(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from tests.conftest import DESIGN
+    from benchmarks.small_session import DESIGN
 
     path = tmp_path_factory.mktemp("design") / "design.toml"
     path.write_text(DESIGN.replace("frames = 12", "frames = 3"), encoding="utf-8")

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.small_session import DESIGN
 from calibration.errors import FileError
 from calibration.reason import Reason
 from scope.console.console import Console
@@ -24,7 +25,6 @@ from scope.console.recording import Place, motion_of
 from scope.scanning import Scanner, run_scan
 from scope.session import CameraSettings, read_image
 from scope.simulation import planned_session
-from tests.conftest import DESIGN
 
 
 @pytest.fixture
