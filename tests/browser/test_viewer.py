@@ -225,6 +225,29 @@ def test_keys_and_fingers_turn_zoom_and_read(shown: Shown) -> None:
     )
 
 
+def test_viewers_come_and_go_with_the_page(shown: Shown) -> None:
+    """More of them than a browser has contexts for: those out of sight give theirs back, and all come again when they are seen."""
+    count = 12
+    shown.browser.execute_script(
+        "const [v, n] = arguments; for (let k = 0; k < n; k++) { const one = document.createElement('scope-cloud'); "
+        "one.bytes = v.bytes; one.className = 'more'; one.style.minHeight = '900px'; document.querySelector('main').append(one); }",
+        shown.host,
+        count,
+    )
+    alive = "return [...document.querySelectorAll('scope-cloud')].filter(v => v.renderer && !v.renderer.getContext().isContextLost()).length"
+    for k in (*range(0, count, 3), 0):
+        shown.browser.execute_script(
+            "document.querySelectorAll('.more')[arguments[0]].scrollIntoView({behavior: 'instant'})", k
+        )
+        ready = "return document.querySelectorAll('.more')[arguments[0]].dataset.ready"
+        shown.until(lambda k=k, ready=ready: shown.browser.execute_script(ready, k))
+        assert shown.browser.execute_script(alive) <= 9
+    shown.browser.execute_script("document.querySelectorAll('.more').forEach(v => v.remove())")
+    shown.browser.execute_script("arguments[0].scrollIntoView({behavior: 'instant'})", shown.host)
+    shown.until(lambda: shown.host.get_attribute("data-ready"))
+    assert shown.browser.execute_script(alive) == 1
+
+
 def test_it_fits_its_window_and_prints_and_falls_back_to_a_picture(shown: Shown, page: Path) -> None:
     browser = shown.browser
     for width in (400, 1600):

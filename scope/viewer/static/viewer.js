@@ -1,44 +1,75 @@
 // <scope-cloud>: a cloud or a rig to be turned, read and measured. Its scene is in a <script class="scene"> inside it, or at its `src`.
 
+const LIVE = [], MOST = 8; // viewers with a WebGL context, of which a browser gives about 16 to all its pages
+const DARK = matchMedia("(prefers-color-scheme: dark)");
+
 class ScopeCloud extends HTMLElement {
+  static observedAttributes = ["src"];
+
   connectedCallback() {
-    if (this.begun) return;
-    this.watching = new IntersectionObserver(seen => { if (seen.some(s => s.isIntersecting)) this.begin(); }, {rootMargin: "400px"});
+    this.watching = new IntersectionObserver(seen => {
+      this.near = seen[seen.length - 1].isIntersecting;
+      if (this.near) this.begin();
+    }, {rootMargin: "400px"});
     this.watching.observe(this);
   }
 
   disconnectedCallback() {
     this.watching.disconnect();
+    this.retire();
+  }
+
+  attributeChangedCallback(name, before, now) {
+    if (before === null || before === now) return;
+    this.bytes = null;
+    this.retire();
+    if (this.near) this.begin();
+  }
+
+  // Give back what it holds; it begins again when it comes near.
+  retire() {
+    this.begun = null; // what is being loaded for it comes too late
+    this.classList.remove("live");
+    delete this.dataset.ready;
+    if (LIVE.includes(this)) LIVE.splice(LIVE.indexOf(this), 1);
+    if (this.shadowRoot) this.shadowRoot.replaceChildren(make("style", {textContent: STYLE}), make("slot"));
     if (!this.renderer) return;
     this.sizes.disconnect();
     document.removeEventListener("pointerdown", this.outside, true);
+    DARK.removeEventListener("change", this.themed);
     this.renderer.dispose();
     this.renderer.forceContextLoss();
+    this.renderer = null;
   }
 
   async begin() {
     if (this.begun) return;
-    this.begun = true;
-    this.watching.disconnect();
-    const root = this.attachShadow({mode: "open"}), note = make("p", {textContent: "Loading the cloud…"});
-    root.append(make("style", {textContent: STYLE}), make("slot"), note);
+    const begun = (this.begun = {}), root = this.shadowRoot || this.attachShadow({mode: "open"}), note = make("p", {textContent: "Loading the cloud…"});
+    root.replaceChildren(make("style", {textContent: STYLE}), make("slot"), note);
+    delete this.dataset.failed;
     try {
       const own = this.querySelector("script.scene");
-      let bytes = own && bytesOf(own.textContent.trim());
-      if (own) own.remove(); // its text is needed no more
+      if (own) { this.bytes = bytesOf(own.textContent.trim()); own.remove(); }
+      let bytes = this.bytes;
       if (!bytes) {
         const answer = await fetch(this.getAttribute("src"));
         if (!answer.ok) throw new Error(`the cloud did not come (${answer.status})`);
         bytes = new Uint8Array(await answer.arrayBuffer());
       }
-      this.scene = await readScene(bytes);
+      const scene = await readScene(bytes);
+      if (this.begun !== begun) return;
+      const far = LIVE.length >= MOST && LIVE.find(viewer => !viewer.near);
+      if (far) far.retire();
+      this.scene = scene;
       this.stage = make("div", {className: "stage"});
       this.renderer = new THREE.WebGLRenderer({antialias: true, powerPreference: "high-performance"});
     } catch (error) {
+      if (this.begun !== begun) return;
       note.textContent = `No 3-D here (${String(error.message || error).slice(0, 120)}): a still picture.`;
       this.dataset.failed = "yes";
       return;
     }
+    LIVE.push(this);
     this.build(root);
     note.remove();
     this.draw();
@@ -47,7 +78,7 @@ class ScopeCloud extends HTMLElement {
 
   build(root) {
     const {scene} = this;
-    this.picked = []; this.mode = "point"; this.drawn = null;
+    Object.assign(this, {picked: [], mode: "point", drawn: null, slab: null, theme: null, settling: null});
     this.cloud = new Cloud(scene);
     this.parts = new Parts(scene.layers, scene.centre, scene.stretch);
     const box = [scene.low, scene.high].map(v => new THREE.Vector3(...v.map((x, k) => x * scene.stretch[k])));
@@ -71,7 +102,8 @@ class ScopeCloud extends HTMLElement {
     this.renderer.info.autoReset = true;
     this.sizes = new ResizeObserver(() => this.resize());
     this.sizes.observe(this.stage);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
+    this.themed = () => this.recolour();
+    DARK.addEventListener("change", this.themed);
     if (scene.columns.length) {
       const first = Math.max(0, scene.columns.findIndex(c => c.name === scene.shown));
       this.panel.scalar.value = first;
@@ -124,6 +156,7 @@ class ScopeCloud extends HTMLElement {
   }
 
   paint() {
+    if (!this.renderer) return;
     const {view, cloud, renderer} = this, moves = Boolean(this.settling), uniforms = cloud.material.uniforms;
     const {drawn, within, share} = cloud.detail(view.frustum, moves ? this.moving : this.still);
     const ratio = renderer.getPixelRatio();
