@@ -22,6 +22,7 @@ from scope.session import CalibrationPlan, LaserPlan, PlanePlan, mean_image, rea
 
 _SAMPLE = 12  # views that choose the channel
 _AGREED = 0.5  # of the views with a stripe, that must share a sheet
+_CLEARLY = 0.8  # likewise, below which the stripe may as well run along the other axis of the image
 _SEEN = 0.25  # of all views, likewise
 _OTHER: dict[Along, Along] = {"rows": "columns", "columns": "rows"}
 
@@ -159,12 +160,12 @@ def _moves(camera: Camera, shots: list[Shot], stripe: Seen) -> Array:
     )
 
 
-def _agree(common: Common | None, views: int) -> bool:
+def _agree(common: Common | None, views: int, share: float = _AGREED) -> bool:
     """Whether so many views share a sheet that it is not by chance, which two always do and three of many may."""
     if common is None:
         return False
     agreed, total = len(common.chosen), len(common.chosen) + len(common.apart)
-    return agreed >= min(3, total) and agreed >= _AGREED * total and agreed >= _SEEN * views
+    return agreed >= min(3, total) and agreed >= share * total and agreed >= _SEEN * views
 
 
 def _check_agreement(plan: CalibrationPlan, laser: LaserPlan, common: Common | None, views: list[list[Seen]]) -> None:
@@ -199,7 +200,7 @@ def _chosen_channel(
     looks = {channel: look_at(laser, camera, some, channel, by_hand=by_hand) for channel in tried}
     shared = {channel: _shared(plan, look, some) for channel, look in looks.items()}
     guide = max(tried, key=lambda channel: (*_shown(shared[channel], some), channel == usual))
-    if by_hand and laser.along == "auto" and not _agree(shared[guide], len(some)):
+    if by_hand and laser.along == "auto" and not _agree(shared[guide], len(some), _CLEARLY):
         turned = {channel: replace(look, along=_OTHER[look.along]) for channel, look in looks.items()}
         again = {channel: _shared(plan, look, some) for channel, look in turned.items()}
         other = max(tried, key=lambda channel: (*_shown(again[channel], some), channel == usual))
