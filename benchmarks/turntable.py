@@ -13,7 +13,7 @@ from benchmarks.shared import head, require, row
 from calibration.geometry import Array, fit_plane
 from calibration.stages import Stage
 from scope.calibrating import Calibration, calibrate
-from scope.report.pictures import cloud_from
+from scope.report import cloud_from
 from scope.scanning import ScanOptions, run_scan
 
 ROWS, COLUMNS, PITCH = 6, 8, 40.0

@@ -16,7 +16,7 @@ from ranging.background import Image, choose_channel, to_gray
 from scope.cloud import ScanCloud, lattice_index
 from scope.report import pictures
 from scope.report.page import Page
-from scope.scanning import Agreement, Scan
+from scope.scanning import Agreement, Scan, Table
 from scope.session import Capture, open_source, read_capture, read_image
 from scope.viewer import cloud_from, cloud_scene
 
@@ -55,7 +55,27 @@ def scan_result(found: Scan) -> dict[str, Any]:
         "verified": found.verified,
         "why_incomplete": found.why_incomplete,
         "troubles": list(found.troubles),
+        **({} if found.table is None else {"table": _table(found.table)}),
     }
+
+
+def _table(table: Table) -> dict[str, Any]:
+    stage = table.stage
+    return {
+        "kind": stage.kind, "direction": stage.direction.tolist(), "point": stage.point.tolist(),
+        "direction_sigma_deg": float(np.rad2deg(stage.direction_sigma)), "scale": stage.scale, "rms_mm": stage.rms_mm,
+        "frames": len(table.frames), "looked_at": table.looked, "warning": table.warning,
+    }  # fmt: skip
+
+
+def _table_text(table: Table) -> str:
+    x, y, z = table.stage.direction
+    what = "axis" if table.stage.kind == "turntable" else "direction"
+    told = (
+        f"{what} by the table's markers in {len(table.frames)} of {table.looked} frames: ({x:.4f}, {y:.4f}, {z:.4f}), "
+    )
+    told += f"one sigma {np.rad2deg(table.stage.direction_sigma):.3f} degrees, rms {table.stage.rms_mm:.3f} mm"
+    return f"{told}\nwarning: {table.warning}" if table.warning else told
 
 
 def scan_text(found: Scan) -> str:
@@ -70,6 +90,8 @@ def scan_text(found: Scan) -> str:
         lines.append(f"frames without any point: {found.empty_frames}")
     if found.filtered:
         lines.append(f"removed by filters: {', '.join(f'{count} {name}' for name, count in found.filtered.items())}")
+    if found.table is not None:
+        lines.append(_table_text(found.table))
     lines += [f"lasers {pair.first} and {pair.second}: {_agreement_text(pair)}" for pair in found.agreement]
     lines += [f"contradiction: {trouble}" for trouble in found.troubles]
     return "\n".join(lines)
@@ -122,6 +144,9 @@ def scan_page(found: Scan, capture: str | Path, *, artefact: Sequence[Sequence[s
         page.heading("Where two lasers see one surface")
         for pair in found.agreement:
             page.text(f"{pair.first} and {pair.second}: {_agreement_text(pair)}.")
+    if found.table is not None:
+        page.heading("The table's markers")
+        page.text(f"{_table_text(found.table)}.".replace("\n", "; "))
     if artefact:
         page.heading("The artefact beside the part")
         page.table(("what", "value", "U (k = 2)"), artefact)

@@ -3,7 +3,7 @@
 In: a rig, and a capture or frames in memory with their motion.
 Out: `ScanCloud` and what the scan tells of itself: lines with a point, reasons of the others, lasers that
     disagree.
-Read: run, options, setup, preparation, stripes, points, refinement, assembly, statistics, file, scanner,
+Read: run, options, setup, preparation, table, stripes, points, refinement, assembly, statistics, file, scanner,
     covariance, agreement, overlap.
 """
 
@@ -14,6 +14,7 @@ from scope.scanning.options import ScanOptions
 from scope.scanning.run import gathered, open_scan, run_scan, scan
 from scope.scanning.scanner import Scanner
 from scope.scanning.statistics import Chunk, Scan
+from scope.scanning.table import Table, table_motion
 
 __all__ = [
     "Agreement",
@@ -24,9 +25,11 @@ __all__ = [
     "ScanOptions",
     "Scanner",
     "boxes_of",
+    "Table",
     "point_covariance",
     "run_scan",
     "scan",
     "scan_to_file",
     "systematic_of",
+    "table_motion",
 ]

@@ -131,5 +131,5 @@ def scan_of(
     """Scan of a cloud that ``load`` gives."""
     return Scan(
         load, points, statistics.frames, statistics.empty, dict(statistics.rejected), seconds, why,
-        statistics.sigma.value, statistics.sigma_cal.value, setup.rig.verification.passed,
+        statistics.sigma.value, statistics.sigma_cal.value, setup.rig.verification.passed, table=setup.table,
     )  # fmt: skip

@@ -19,6 +19,7 @@ from ranging.stripe import Stripe, StripeOptions, best_channel
 from scope.scanning.options import ScanOptions
 from scope.scanning.setup import Asked, ScanSetup, require_size
 from scope.scanning.stripes import find_stripes
+from scope.scanning.table import table_motion
 from scope.session import Capture, Frame, StageUse, read_alike
 
 LOOK = 16  # first frames, over which those are spread that tell the channel and the noise of the camera
@@ -33,12 +34,14 @@ def asked_by_capture(capture: Capture, rig: Rig) -> Asked:
         )
     background: tuple[Image, ...] = ()
     lasers = lasers_of(str(capture.path), rig, capture.lasers)
-    motion = motion_of(capture, rig)
+    use = capture.motion
+    table = table_motion(capture, rig, use) if isinstance(use, StageUse) and use.markers is not None else None
+    motion = motion_of(capture, rig) if table is None else table.motion
     if capture.background_mode == "mean":
         background = tuple(read_alike(capture.background, "the background"))
     return Asked(
         str(capture.path), motion, lasers, capture.channel, capture.background_mode != "none", background,
-        capture.sequence == "cycle",
+        capture.sequence == "cycle", table,
     )  # fmt: skip
 
 
@@ -70,7 +73,7 @@ def set_up(asked: Asked, rig: Rig, options: ScanOptions, first: Sequence[Frame])
         stripe = replace(stripe, saturation=clipping_level(images))
     setup = ScanSetup(
         asked.owner, rig, options, asked.motion, asked.lasers, channels, darks, asked.in_turn, stripe, _centre(rig),
-        images[0] if images else None,
+        images[0] if images else None, table=asked.table,
     )  # fmt: skip
     found = [find_stripes(setup, frame) for frame in sample]
     return replace(setup, stripe=with_noise(stripe, [each.stripe for frame in found for each in frame.lasers]))

@@ -12,6 +12,7 @@ from ranging.background import Channel, Image, saturation_level
 from ranging.motion import Motion
 from ranging.stripe import StripeOptions
 from scope.scanning.options import ScanOptions
+from scope.scanning.table import Table
 from scope.session import shape_text
 
 
@@ -26,6 +27,7 @@ class Asked:
     laser_off: bool = False  # laser-off images are subtracted: one mean for all frames, or one with each frame
     background: tuple[Image, ...] = ()  # laser-off images whose mean serves all frames
     in_turn: bool = False  # lasers take turns from frame to frame; else they shine together
+    table: Table | None = None  # how the markers of a table move, where the motion is theirs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +45,7 @@ class ScanSetup:
     stripe: StripeOptions  # with the noise of the camera, where some frames have told it
     centre: Array  # (3,) mm, camera centre in C
     like: Image | None  # with whose depth and channels all frames must agree; None before any has come
+    table: Table | None = None  # how the markers of a table move, where the motion is theirs
     origin: tuple[str, ...] = ()  # who scans, when, and of which files
 
     def saturation(self, image: Image) -> float:

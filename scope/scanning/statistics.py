@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from scope.cloud import ScanCloud
 from scope.scanning.agreement import Agreement
+from scope.scanning.table import Table
 
 _LEAST, _MOST, _STEP = np.log(1e-7), np.log(1e4), 5e-4  # mm; a bin of the histogram is 0.05 % wide
 
@@ -105,6 +106,7 @@ class Scan:
     verified: bool
     filtered: Mapping[str, int] = field(default_factory=dict)  # filter: points it removed
     agreement: tuple[Agreement, ...] = ()  # of every two lasers
+    table: Table | None = None  # how the markers of a table move, where the motion is theirs
     troubles: tuple[str, ...] = ()  # in what the scan contradicts itself, a sentence each: it must not be used
 
     @property

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Strict, Tag, model_v
 from calibration.errors import FileError
 from calibration.geometry import Array, Pose
 from calibration.notation import Notation
+from calibration.targets import MarkerBoard
 from ranging.motion import Fixed, Linear, Motion, Poses, Positions, ToldPositions, Turntable
 from ranging.robot import Robot
 from scope.session.camera_section import TIMEOUT_S, CameraSection, CameraSettings, camera_settings
@@ -20,6 +21,7 @@ from scope.session.following import GAP_S, Clock, Follow
 from scope.session.hand_eye import HandEye
 from scope.session.positions import csv_by_frame, listed_positions, logged_positions, rows_of_frames
 from scope.session.robot_section import Gives, read_pose_log
+from scope.session.target_section import PlaceSection, TargetSection, target_of
 from scope.session.toml_file import MM, Number, Positive, Section, Units, Vector, matching, numbers, read_toml
 
 Channel = Literal["auto", "red", "green", "blue", "gray"]
@@ -36,13 +38,22 @@ Camera = Annotated[
 ]
 
 
+class TableSection(Section):
+    """[motion.markers]: what is stuck to the table, and is seen in the frames of the scan themselves."""
+
+    dictionary: str | None = None
+    marker: Positive
+    places: Annotated[list[PlaceSection], Field(min_length=2, max_length=1000)]
+
+
 class MotionSection(Section):
     """[motion]: how object and sensor move against each other."""
 
     kind: Literal["fixed", "linear", "turntable", "poses", "robot"] = "fixed"
     moves: Literal["object", "sensor"] | None = None
-    direction: Vector | Literal["rig"] | None = None
-    axis: Literal["rig"] | None = None
+    direction: Vector | Literal["rig", "markers"] | None = None
+    axis: Literal["rig", "markers"] | None = None
+    markers: TableSection | None = None
     axis_point: Vector | None = None
     axis_direction: Vector | None = None
     step: Number | None = None
@@ -65,8 +76,9 @@ class MotionSection(Section):
     def _complete(self) -> MotionSection:
         allowed: dict[str, set[str]] = {
             "fixed": set(),
-            "linear": {"direction", "step", "start", "positions", "index", "moves", *_LOGGED},
+            "linear": {"markers", "direction", "step", "start", "positions", "index", "moves", *_LOGGED},
             "turntable": {
+                "markers",
                 "axis",
                 "axis_point",
                 "axis_direction",
@@ -83,9 +95,9 @@ class MotionSection(Section):
         for key in self.model_fields_set - {"kind", "moves"} - allowed[self.kind]:
             raise ValueError(f"{key} has no meaning for kind = {self.kind!r}; remove it")
         if self.kind == "linear" and self.direction is None:
-            raise ValueError('direction is missing; give [x, y, z] in C, or "rig"')
+            raise ValueError('direction is missing; give [x, y, z] in C, "rig" or "markers"')
         if self.kind == "turntable" and self.axis is None and (self.axis_point is None or self.axis_direction is None):
-            raise ValueError('axis_point and axis_direction are needed, or axis = "rig"')
+            raise ValueError('axis_point and axis_direction are needed, or axis = "rig" or "markers"')
         told = [key for key in ("step", "positions", "log") if getattr(self, key) is not None]
         if self.kind in {"linear", "turntable"} and len(told) != 1:
             raise ValueError(f"found {' and '.join(told) or 'none'} of step, positions, log; exactly one is needed")
@@ -93,6 +105,10 @@ class MotionSection(Section):
             raise ValueError(f"{other[0]} has a meaning with log only; remove it")
         if self.log is not None and self.delay is None:
             raise ValueError("delay is missing: seconds from a frame's time stamp to the log's time of its exposure")
+        if ("markers" in {self.direction, self.axis}) != (self.markers is not None):
+            raise ValueError(
+                'direction or axis = "markers" and [motion.markers] (marker, places) belong together; give both or neither'
+            )
         if self.kind in {"linear", "turntable"} and self.moves is None:
             raise ValueError(
                 'moves is missing, and the wrong one mirrors the motion; add moves = "object" (the sensor stands still) or '
@@ -158,11 +174,12 @@ class CaptureSection(Section):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StageUse:
-    """The capture asks for the rig's stage."""
+    """The capture asks for the rig's stage, or for the one that markers on it show in its own frames."""
 
     kind: Literal["linear", "turntable"]
     positions: Positions
     sign: float
+    markers: MarkerBoard | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,9 +309,9 @@ def _motion(
     if section.kind == "linear":
         if isinstance(section.direction, tuple):
             return Linear(section.direction, positions=positions, sign=sign)
-        return StageUse("linear", positions, sign)
+        return StageUse("linear", positions, sign, _table(path, section, images, mm))
     if section.axis_direction is None or section.axis_point is None:
-        return StageUse("turntable", positions, sign)
+        return StageUse("turntable", positions, sign, _table(path, section, images, mm))
     return Turntable(np.array(section.axis_point) * mm, section.axis_direction, positions=positions, sign=sign)
 
 
@@ -338,6 +355,21 @@ def _logged_positions(path: Path, section: MotionSection, images: tuple[Path, ..
     times, log = path.parent / section.times, path.parent / (section.log or "")
     names = _by_name(section, images)
     return logged_positions(log, times, images, names, delay=section.delay or 0.0, gap=section.gap or GAP_S)
+
+
+def _table(path: Path, section: MotionSection, images: tuple[Path, ...], mm: float) -> MarkerBoard | None:
+    """Markers on the table; ``FileError`` where there are no files of frames to look for them in."""
+    if section.markers is None:
+        return None
+    if not images:
+        raise FileError(
+            f'{path}: motion by "markers" looks for them in images; a video or a camera has none yet: calibrate the stage, and say "rig"'
+        )
+    told = section.markers
+    board = target_of(
+        TargetSection(kind="markers", dictionary=told.dictionary, marker=told.marker, places=told.places), mm
+    )
+    return board if isinstance(board, MarkerBoard) else None
 
 
 def _robot(path: Path, section: MotionSection, images: tuple[Path, ...]) -> Robot:
