@@ -21,7 +21,7 @@ from scope.session.following import GAP_S, Clock, Follow
 from scope.session.hand_eye import HandEye
 from scope.session.positions import csv_by_frame, listed_positions, logged_positions, rows_of_frames
 from scope.session.robot_section import Gives, read_pose_log
-from scope.session.target_section import PlaceSection, TargetSection, target_of
+from scope.session.target_section import MarkersSection, board_of
 from scope.session.toml_file import MM, Number, Positive, Section, Units, Vector, matching, numbers, read_toml
 
 Channel = Literal["auto", "red", "green", "blue", "gray"]
@@ -38,14 +38,6 @@ Camera = Annotated[
 ]
 
 
-class TableSection(Section):
-    """[motion.markers]: what is stuck to the table, and is seen in the frames of the scan themselves."""
-
-    dictionary: str | None = None
-    marker: Positive
-    places: Annotated[list[PlaceSection], Field(min_length=2, max_length=1000)]
-
-
 class MotionSection(Section):
     """[motion]: how object and sensor move against each other."""
 
@@ -53,7 +45,7 @@ class MotionSection(Section):
     moves: Literal["object", "sensor"] | None = None
     direction: Vector | Literal["rig", "markers"] | None = None
     axis: Literal["rig", "markers"] | None = None
-    markers: TableSection | None = None
+    markers: MarkersSection | None = None
     axis_point: Vector | None = None
     axis_direction: Vector | None = None
     step: Number | None = None
@@ -365,11 +357,7 @@ def _table(path: Path, section: MotionSection, images: tuple[Path, ...], mm: flo
         raise FileError(
             f'{path}: motion by "markers" looks for them in images; a video or a camera has none yet: calibrate the stage, and say "rig"'
         )
-    told = section.markers
-    board = target_of(
-        TargetSection(kind="markers", dictionary=told.dictionary, marker=told.marker, places=told.places), mm
-    )
-    return board if isinstance(board, MarkerBoard) else None
+    return board_of(section.markers, mm)
 
 
 def _robot(path: Path, section: MotionSection, images: tuple[Path, ...]) -> Robot:

@@ -95,6 +95,20 @@ class TargetSection(Section):
             )
 
 
+class MarkersSection(Section):
+    """[motion.markers]: what is stuck to a table, and is seen in the frames of the scan themselves."""
+
+    dictionary: str | None = None
+    marker: Positive
+    places: Annotated[list[PlaceSection], Field(min_length=1, max_length=1000)]
+
+
+def board_of(section: MarkersSection, mm: float) -> MarkerBoard:
+    """The markers in mm."""
+    places = tuple(MarkerPlace(p.id, p.x * mm, p.y * mm, math.radians(p.turn)) for p in section.places)
+    return MarkerBoard(section.dictionary or "DICT_4X4_50", section.marker * mm, places)
+
+
 def polarity_of(section: TargetSection) -> Polarity:
     """Of round marks: as told; light where nothing is told, but dark for circles, as OpenCV's pattern is printed."""
     return section.polarity or ("dark" if section.kind == "circles" else "light")
@@ -109,10 +123,9 @@ def target_of(section: TargetSection, mm: float) -> Target | None:
         Fiducials that look like themselves after a turn or in a mirror.
     """
     if section.kind == "markers":
-        places = tuple(
-            MarkerPlace(place.id, place.x * mm, place.y * mm, math.radians(place.turn)) for place in section.places
+        return board_of(
+            MarkersSection(dictionary=section.dictionary, marker=section.marker or 1.0, places=section.places), mm
         )
-        return MarkerBoard(section.dictionary or "DICT_4X4_50", (section.marker or 0.0) * mm, places)
     if section.kind == "listed" or section.rows is None or section.columns is None or section.pitch is None:
         return None
     pitch = (section.pitch[0] * mm, section.pitch[1] * mm)
