@@ -140,7 +140,7 @@ def _fitted(camera: Camera, use: StageUse, seen: list[PlaneMarks], positions: Ar
             turns = [Pose.from_rotation_vector(-p * stage.direction, np.zeros(3)).rotation for p in positions]
             back = np.stack([(t - stage.point) @ turn.T for t, turn in zip(tracks, turns, strict=True)])
         off = np.sqrt(((back - np.median(back[keep], axis=0)) ** 2).sum(axis=2).mean(axis=1))
-        sound = off <= _FAR * max(float(np.median(off[keep])), 1e-9)
+        sound = off <= _FAR * max(float(np.median(off[keep])), 0.1)  # mm: what is nearer is no stranger
         if sound.sum() < _LEAST or np.array_equal(sound, keep):
             break
         keep = sound
