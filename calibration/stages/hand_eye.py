@@ -282,3 +282,25 @@ def _gap(view: SeenTarget, camera_from_target: Pose) -> tuple[Array, Array]:
 def with_names(fit: HandEyeFit, names: Sequence[str]) -> HandEyeFit:
     """The same fit, its views called otherwise."""
     return replace(fit, views=tuple(replace(v, name=n) for v, n in zip(fit.views, names, strict=True)))
+
+
+def delay_step(views: Sequence[SeenTarget], twists: Array, mount: Mount, fit: HandEyeFit) -> tuple[float, float, Array]:
+    """By how many seconds the robot's poses should be read later, its standard deviation, and the covariance (12, 12) with it unknown.
+
+    Parameters
+    ----------
+    views : sequence of SeenTarget
+        Those that count, one pose each, at the poses that the fit took.
+    twists : (n, 6)
+        Velocity of the flange at each, in its own frame: turns rad/s, shift mm/s. A delay moves a pose along it, as an error of
+        the robot would.
+    """
+    seen = said(views, fit.sensor, fit.target, mount)
+    weight = np.linalg.inv(seen.c + robot_covariance(fit.robot.mm, fit.robot.rad))
+    whole = np.concatenate([seen.k, twists[:, :, None]], axis=2)
+    normal = np.einsum("nia,nij,njb->ab", whole, weight, whole)
+    right = np.einsum("nia,nij,nj->a", whole, weight, seen.z)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
+    sigma = float(np.sqrt(inverse[12, 12])) if np.abs(twists).max() > 0 else float("inf")
+    return float((inverse @ right)[12]), sigma, np.asarray(inverse[:12, :12])

@@ -17,8 +17,10 @@ from calibration.rig import Rig
 from calibration.stages import HandEyeFit, Mount, SeenTarget, consensus, require_turns, solve_hand_eye
 from scope.calibrating import measure_plane
 from scope.hand_eye.covariance import by_place_first
+from scope.hand_eye.planes import planes_answer
 from scope.hand_eye.readings import Reading, readings_of
 from scope.hand_eye.sphere import passes_of, sphere_answer
+from scope.hand_eye.timing import Delay, with_delay
 from scope.hand_eye.views import require_size, seen_target
 from scope.session import SENSOR, TARGET, HandEye, HandEyePlan, read_hand_eye_plan
 
@@ -86,9 +88,9 @@ def hand_eye(path: str | Path, rig: Rig | str | Path, *, on_view: Tick = _no_tic
     rig = rig if isinstance(rig, Rig) else Rig.load(rig)
     if plan.camera_id and rig.camera_id and plan.camera_id != rig.camera_id:
         raise FileError(f"{plan.path}: camera_id {plan.camera_id!r}, the rig is of {rig.camera_id!r}; use its own rig")
-    if plan.radius is not None:
-        return _by_sphere(plan, rig, on_view)
-    views, rows, dropped, measured = _views(plan, rig, on_view)
+    if plan.radius is not None or plan.planes is not None:
+        return _by_stripes(plan, rig, on_view)
+    views, (rows, seconds), dropped, measured = _views(plan, rig, on_view)
     if len(views) < 3:
         told = grouped([(d["name"], d["reason"]) for d in dropped], len(plan.marks.planes), "views", longest=150)
         raise CalibrationError(
@@ -98,10 +100,17 @@ def hand_eye(path: str | Path, rig: Rig | str | Path, *, on_view: Tick = _no_tic
         require_turns(views)
     except CalibrationError as error:
         return HandEyeResult(plan, None, None, tuple(dropped), (), False, str(error), measured=measured)
+    camera = _known(rig.camera.covariance)
+    if plan.track is not None and plan.delay is None:
+        try:
+            _, _, fit, delay = with_delay(plan, plan.track, views, np.array(seconds), camera)
+        except CalibrationError as error:
+            return HandEyeResult(plan, None, None, tuple(dropped), (), False, str(error), measured=measured)
+        return _judged(plan, rig, fit, dropped, measured, delay)
     start = consensus(views, plan.mount)
     unsure = float(np.median([_unsure(view) for view in views]))
     likely = None
-    if start.typical_mm > max(_SUSPECT, 5.0 * unsure):
+    if plan.track is None and start.typical_mm > max(_SUSPECT, 5.0 * unsure):
         likely = next(iter(readings_of(plan.log, rows, views, plan.mount)), None)
     if likely is not None and likely.start.typical_mm * _BETTER < start.typical_mm:
         why = (
@@ -111,20 +120,21 @@ def hand_eye(path: str | Path, rig: Rig | str | Path, *, on_view: Tick = _no_tic
         return HandEyeResult(plan, None, None, tuple(dropped), (), False, why, likely, measured)
     try:
         fit = solve_hand_eye(
-            views, plan.mount, repeatability=plan.repeatability, camera_covariance=_known(rig.camera.covariance), start=start
+            views, plan.mount, repeatability=plan.repeatability, camera_covariance=camera, start=start
         )  # fmt: skip
     except CalibrationError as error:
         return HandEyeResult(plan, None, None, tuple(dropped), (), False, str(error), measured=measured)
     return _judged(plan, rig, fit, dropped, measured)
 
 
-def _by_sphere(plan: HandEyePlan, rig: Rig, on_view: Tick) -> HandEyeResult:
+def _by_stripes(plan: HandEyePlan, rig: Rig, on_view: Tick) -> HandEyeResult:
     passes, dropped = passes_of(plan, rig, on_view)
+    what = "sphere" if plan.radius is not None else "planes"
     if not passes:
         told = grouped([(d["name"], d["reason"]) for d in dropped], len(plan.marks.planes), "passes", longest=150)
-        raise CalibrationError(f"{plan.path}: no pass with a stripe on the sphere and a pose: {told}")
+        raise CalibrationError(f"{plan.path}: no pass with a stripe on the {what} and a pose: {told}")
     try:
-        answer = sphere_answer(plan, rig, passes, dropped)
+        answer = (sphere_answer if plan.radius is not None else planes_answer)(plan, rig, passes, dropped)
     except CalibrationError as error:
         return HandEyeResult(plan, None, None, tuple(dropped), (), False, str(error))
     return HandEyeResult(plan, None, answer, tuple(dropped), (), answer.passed, answer.why)
@@ -132,15 +142,16 @@ def _by_sphere(plan: HandEyePlan, rig: Rig, on_view: Tick) -> HandEyeResult:
 
 def _views(
     plan: HandEyePlan, rig: Rig, on_view: Tick
-) -> tuple[list[SeenTarget], list[int], list[dict[str, Any]], dict[str, Any]]:
-    """Views with marks and a pose, the rows of their poses, what was left out, and what the finder gave."""
+) -> tuple[list[SeenTarget], tuple[list[int], list[float]], list[dict[str, Any]], dict[str, Any]]:
+    """Views with marks and a pose, the rows of their poses and when they were taken, what was left out, and what the finder gave."""
     views: list[SeenTarget] = []
     rows: list[int] = []
+    seconds: list[float] = []
     dropped: list[dict[str, Any]] = []
     measured: dict[str, Any] = {}
     named = {plan.log.row_of(plane.images[0]) for plane in plan.marks.planes if isinstance(plane.images[0], Path)}
     total = len(plan.marks.planes)
-    if named <= {None}:
+    if plan.track is None and named <= {None}:
         raise FileError(
             f"{plan.log.path}: none of its {len(plan.log.names)} rows names one of {total} images; column image holds file "
             f"names such as {Path(str(plan.marks.planes[0].images[0])).name}"
@@ -149,24 +160,30 @@ def _views(
         image = Path(str(plane.images[0]))
         row = plan.log.row_of(image)
         try:
-            if row is None:
+            pose = plan.pose_of(image)
+            if pose is None:
                 raise CalibrationError(f"no row of {plan.log.path.name} names {image.name}")
-            pose = plan.log.base_from_flange(row)
             found = measure_plane(plan.marks, plane)
             require_size(found.size, rig.camera, str(image))
             views.append(seen_target(rig.camera, found.marks, pose, plan.marks.target))
-            rows.append(row)
+            rows.append(-1 if row is None else row)
+            seconds.append(plan.times.get(image.name, 0.0))
             measured[plane.name] = found
         except CalibrationError as error:
             dropped.append(_left_out(plane.name, _bare(str(error), plan, plane.name)))
         on_view(done, total)
     extra = [name for k, name in enumerate(plan.log.names) if k not in named]
     dropped += [_left_out(Path(name).stem, "no image of this name") for name in extra]
-    return views, rows, dropped, measured
+    return views, (rows, seconds), dropped, measured
 
 
 def _judged(
-    plan: HandEyePlan, rig: Rig, fit: HandEyeFit, dropped: list[dict[str, Any]], measured: dict[str, Any]
+    plan: HandEyePlan,
+    rig: Rig,
+    fit: HandEyeFit,
+    dropped: list[dict[str, Any]],
+    measured: dict[str, Any],
+    delay: Delay | None = None,
 ) -> HandEyeResult:
     dropped = [*dropped, *(_left_out(view.name, view.reason) for view in fit.views if not view.used)]
     covariance = by_place_first(fit.covariance[:6, :6])
@@ -189,6 +206,7 @@ def _judged(
         "notations": {name: numbers_of(name, fit.sensor).tolist() for name in NOTATIONS},
         "dropped": dropped,
         "warnings": list(warnings),
+        **({} if delay is None else {"delay_s": delay.seconds, "delay_sigma_s": delay.sigma}),
     }  # fmt: skip
     answer = HandEye(fit.mount, fit.sensor, fit.target, covariance, fit.robot, rig.sha256, passed, why, told)
     return HandEyeResult(plan, fit, answer, tuple(dropped), warnings, passed, why, measured=measured)

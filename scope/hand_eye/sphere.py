@@ -14,6 +14,7 @@ from calibration.rig import Rig
 from calibration.stages import Pass, SphereFit, solve_by_sphere
 from ranging.profile import Profile
 from scope.hand_eye.covariance import by_place_first
+from scope.hand_eye.planes import on_line
 from scope.scanning import Scanner
 from scope.session import HandEye, HandEyePlan, read_image
 
@@ -24,23 +25,20 @@ _ARC = 8  # of 36 parts of the circle that must be seen
 
 
 def passes_of(plan: HandEyePlan, rig: Rig, on_view: Any) -> tuple[list[Pass], list[dict[str, Any]]]:
-    """Passes with a stripe on the sphere and a pose, and what was left out."""
-    if plan.radius is None:
-        raise ValueError("the plan has no sphere")
+    """Passes with a stripe on the sphere, or on a plane, and a pose, and what was left out."""
     scanner = Scanner(rig, laser=plan.laser or (next(iter(rig.lasers)) if len(rig.lasers) == 1 else None))
     found: list[Pass] = []
     dropped: list[dict[str, Any]] = []
     for done, plane in enumerate(plan.marks.planes, start=1):
         image = Path(str(plane.images[0]))
         try:
-            row = plan.log.row_of(image)
-            if row is None:
+            pose = plan.pose_of(image)
+            if pose is None:
                 raise CalibrationError(f"no row of {plan.log.path.name} names {image.name}")
-            pose = plan.log.base_from_flange(row)
             profile = scanner.profile(read_image(image))
             good = np.asarray(np.isfinite(profile.points).all(axis=1))
             points, sigma = profile.points[good], profile.sigma[good]
-            on = on_sphere(points, plan.radius)
+            on = on_line(points, sigma) if plan.radius is None else on_sphere(points, plan.radius)
             pixels = _pixels(profile, good, rig.lasers[profile.laser].along)
             ray = rig.camera.rays(pixels, near=points[:, 2] if rig.camera.model == "two-plane" else None).direction
             found.append(Pass(plane.name, pose, points[on], ray[on], sigma[on]))

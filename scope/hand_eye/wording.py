@@ -25,6 +25,7 @@ def hand_eye_text(result: HandEyeResult) -> str:
             f"one sigma {' '.join(map(two_digits, sd[3:6]))} mm, {' '.join(map(two_digits, np.rad2deg(sd[:3])))} degrees",
             f"rms of the marks {fit.rms_mm:.3f} mm ({fit.rms_px:.2f} px), each view left out {fit.loo_mm:.3f} mm (median)",
             f"robot {fit.robot.mm:.3f} mm, {np.rad2deg(fit.robot.rad):.3f} degrees ({source})",
+            *_delay(result),
             "in the notations of robots (mm):",
         ]
         lines += [
@@ -37,7 +38,7 @@ def hand_eye_text(result: HandEyeResult) -> str:
         sd = np.sqrt(np.diag(answer.covariance))
         x, y, z = answer.sensor.translation
         lines += [
-            f"{SENSOR[answer.mount]}: x {x:.3f} y {y:.3f} z {z:.3f} mm, by passes over a sphere",
+            f"{SENSOR[answer.mount]}: x {x:.3f} y {y:.3f} z {z:.3f} mm, by passes over {'a sphere' if answer.told['by'] == 'sphere' else 'planes'}",
             f"one sigma {' '.join(map(two_digits, sd[:3]))} mm, {' '.join(map(two_digits, np.rad2deg(sd[3:])))} degrees",
             f"rms of the points {answer.told['rms_mm']:.4f} mm, each pass left out {answer.told['loo_mm']:.4f} mm (median)",
         ]
@@ -46,3 +47,10 @@ def hand_eye_text(result: HandEyeResult) -> str:
         lines.append(f"left out: {grouped([(d['name'], d['reason']) for d in result.dropped], total, 'views')}")
     lines += [f"warning: {shortened(text, 290)}" for text in result.warnings]
     return "\n".join(lines)
+
+
+def _delay(result: HandEyeResult) -> list[str]:
+    if result.answer is None or "delay_s" not in result.answer.told:
+        return []
+    told = result.answer.told
+    return [f"the log is read {told['delay_s']:+.4f} s after an image's time (one sigma {told['delay_sigma_s']:.4f} s)"]

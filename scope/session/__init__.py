@@ -48,7 +48,7 @@ from scope.session.images import (
     shape_text,
 )
 from scope.session.in_memory import CalibrationSession, PlaneView, plan_of
-from scope.session.robot_section import PoseLog, read_pose_log
+from scope.session.robot_section import PoseLog, PoseTrack, read_pose_log
 from scope.session.target_section import Plate, read_target, target_in
 from scope.session.templates import TEMPLATES, write_template
 from scope.session.toml_file import MM, Positive, Section, Units, Vector, matching, read_toml
@@ -86,6 +86,7 @@ __all__ = [
     "Units",
     "Vector",
     "PoseLog",
+    "PoseTrack",
     "SENSOR",
     "Source",
     "StagePlan",
