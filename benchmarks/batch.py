@@ -2,9 +2,13 @@
 
     python -m benchmarks.batch [--sessions 64] [--jobs 1 2 4] [--kill 10] [--small]
     python -m benchmarks.batch memory [--sessions 2000]
+    python -m benchmarks.batch resume [--sessions 64]
+    python -m benchmarks.batch gauge
 
 Sessions are simulated scans of a sphere and a plate, each with its own noise; the peer is their own time, as each session measures it in
-its worker. ``--kill`` ends one worker every so many seconds. ``memory`` runs a day of stand-ins for scans and prints the client's memory.
+its worker. ``--kill`` ends one worker every so many seconds. ``memory`` runs a day of stand-ins for scans and prints the client's memory; ``resume`` ends
+the scheduler of a cluster in the middle of such a day, starts another and goes on; ``gauge`` sets the variance components of simulated days, and their
+scatter, beside the closed form (expected mean squares of a crossed design, E. Searle, Linear Models, 1971, ch. 9).
 """
 
 from __future__ import annotations
@@ -15,16 +19,21 @@ import os
 import resource
 import shutil
 import signal
+import socket
+import subprocess
+import sys
 import tempfile
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.small_session import DESIGN, design_text, small_session
+from calibration.errors import ScopeError
 from cli.batch import run_words
-from scope.batch import Answer, Day, DayOptions, parse_steps, run_day
+from scope.batch import Answer, Day, DayOptions, gauge_study, parse_steps, run_day
 
 KILLED: list[float] = []  # when a worker was
 DO = "scan; check -a sphere:d=40 --region box:-60,-10,-30,30"
@@ -145,9 +154,111 @@ def memory(count: int) -> None:
     print("; ".join(f"after {done}: {megabytes:.0f} MB" for done, megabytes in seen))
 
 
+def cluster(port: int, workers: int) -> list[subprocess.Popen[bytes]]:
+    """A scheduler and its workers, as processes of their own."""
+    start = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        str(port),
+        "--no-dashboard",
+    ]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    made = [subprocess.Popen(start, **quiet)]
+    time.sleep(3.0)
+    for _ in range(workers):
+        words = [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_worker",
+            f"tcp://127.0.0.1:{port}",
+            "--nthreads",
+            "1",
+            "--no-dashboard",
+        ]
+        made.append(subprocess.Popen(words, **quiet))
+    return made
+
+
+def resume(count: int) -> None:
+    """A day whose scheduler ends in the middle, and goes on with another."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with tempfile.TemporaryDirectory() as name:
+        sources = [Path(name) / f"c{k}.ply" for k in range(count)]
+        for path in sources:
+            path.write_text("", encoding="utf-8")
+        whole, table = Path(name) / "whole.csv", Path(name) / "day.csv"
+        run_day(sources, None, parse_steps("check -a plane"), whole, pretend)
+        running = cluster(port, 2)
+
+        def tick(done: int, _total: int) -> None:
+            if done == count // 3:
+                running[0].kill()
+
+        options = DayOptions(scheduler=f"tcp://127.0.0.1:{port}")
+        told = "it went on by itself"
+        try:
+            run_day(sources, None, parse_steps("check -a plane"), table, pretend, options=options, on_session=tick)
+        except ScopeError as error:
+            told = str(error)
+        for process in running:
+            process.kill()
+        again = cluster(port, 2)
+        try:
+            done = run_day(
+                sources, None, parse_steps("check -a plane"), table, pretend, options=replace(options, resume=True)
+            )
+        finally:
+            for process in again:
+                process.kill()
+        same = without_times(table) == without_times(whole)
+    print(f"scheduler ended after {count // 3} of {count} sessions: {told}")
+    print(
+        f"with --resume: {done.kept} kept, {len(done.rows)} rows, {done.failed} failed, table {'the same' if same else 'ANOTHER'}"
+    )
+
+
+def gauge(studies: int = 400, shape: tuple[int, int, int] = (10, 8, 4)) -> None:
+    """Components of variance of simulated days beside truth, and their scatter beside the closed form."""
+    rng, (p, o, n) = np.random.default_rng(0), shape
+    truth = {"repeatability": 1.0, "operators": 1.5**2, "interaction": 0.8**2, "parts": 4.0**2}
+    within, operators, crossed, parts = (truth[k] for k in ("repeatability", "operators", "interaction", "parts"))
+    found = []
+    for _ in range(studies):
+        values = (
+            rng.normal(0, parts**0.5, (p, 1, 1)) + rng.normal(0, operators**0.5, (1, o, 1)) + rng.normal(0, crossed**0.5, (p, o, 1))
+            + rng.normal(0, within**0.5, (p, o, n))
+        )  # fmt: skip
+        study = gauge_study(values)
+        found.append([getattr(study, key) for key in truth])
+    squares = {"e": within, "po": within + n * crossed}
+    squares |= {"o": squares["po"] + p * n * operators, "p": squares["po"] + o * n * parts}
+    free = {"e": p * o * (n - 1), "po": (p - 1) * (o - 1), "o": o - 1, "p": p - 1}
+    var = {key: 2.0 * squares[key] ** 2 / free[key] for key in squares}
+    closed = {
+        "repeatability": var["e"], "operators": (var["o"] + var["po"]) / (p * n) ** 2, "interaction": (var["po"] + var["e"]) / n**2,
+        "parts": (var["p"] + var["po"]) / (o * n) ** 2,
+    }  # fmt: skip
+    mean, spread = np.mean(found, axis=0), np.std(found, axis=0, ddof=1)
+    print(f"{studies} studies of {p} parts, {o} operators, {n} repeats")
+    print(
+        "| variance | true | mean of the studies | its standard error | scatter of a study | closed form |\n|"
+        + " --- |" * 6
+    )
+    for k, key in enumerate(truth):
+        print(
+            f"| {key} | {truth[key]:.3g} | {mean[k]:.4g} | {spread[k] / studies**0.5:.2g} | {spread[k]:.3g} | {closed[key] ** 0.5:.3g} |"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("work", nargs="?", default="day", choices=["day", "memory"])
+    parser.add_argument("work", nargs="?", default="day", choices=["day", "memory", "resume", "gauge"])
     parser.add_argument("--sessions", type=int)
     parser.add_argument("--jobs", type=int, nargs="+", default=[1, 2, 4])
     parser.add_argument("--kill", type=float, default=10.0)
@@ -155,6 +266,10 @@ def main() -> None:
     told = parser.parse_args()
     if told.work == "memory":
         memory(told.sessions or 2000)
+    elif told.work == "resume":
+        resume(told.sessions or 64)
+    elif told.work == "gauge":
+        gauge()
     else:
         day(told.sessions or 64, told.jobs, told.kill, small=told.small)
 

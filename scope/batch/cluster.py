@@ -51,7 +51,7 @@ def connected(jobs: int, scheduler: str) -> Iterator[tuple[Any, int]]:
             raise FileError(
                 f"--scheduler {scheduler}: no Dask scheduler answers there ({str(error)[:80]}); start one: dask scheduler"
             ) from error
-        with client, _silenced():
+        with _silenced(), client:
             yield client, _ready(client, jobs, scheduler)
 
 
