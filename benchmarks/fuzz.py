@@ -31,7 +31,8 @@ from typing import Any
 import numpy as np
 from typer.testing import CliRunner
 
-from benchmarks.small_session import small_session
+from benchmarks.fuzz_more import more_cases, prepare_more
+from benchmarks.small_session import design_text, small_session
 from cli.console import libraries_silenced
 from cli.main import app
 
@@ -49,6 +50,22 @@ _IMPOSSIBLE = (
     "1e300",
     "4294967295",
     "2147483647",
+)
+_TOML_NUMBERS = ("0", "-1", "1e9", "-1e9", "1e300", "nan", "inf", "2147483648", "0.001", "1.5", "99999999999999999999")
+_TOML_VALUES = (
+    '""',
+    '"x"',
+    "[]",
+    "{}",
+    "true",
+    "[[]]",
+    '["x"]',
+    "2026-01-01",
+    '"../../x/*.png"',
+    '"/"',
+    '"*"',
+    '"\\u0000"',
+    *_TOML_NUMBERS,
 )
 _LINE = re.compile(r"error: .+")
 
@@ -162,6 +179,11 @@ def cases(folder: Path) -> list[Case]:
              lambda f: ["calibrate", str(f / "calibration.toml"), "--check", "w330", "--json"], 2),
         Case("heights: roughness", "made.npy", lambda f: ["roughness", str(f / "made.npy"), "--pitch", "0.1", "--json"], 1),
     ]  # fmt: skip
+    found += [
+        Case(name, file, argv, weight, free=free)
+        for name, file, argv, weight, free in more_cases()
+        if any(folder.glob(file)) and ((folder / "arm").exists() or file.endswith((".toml", ".csv")))
+    ]
     for ending in ("pcd", "xyz", "las", "e57"):
         if (folder / f"made.{ending}").exists():
             argv = _export(ending)
@@ -197,6 +219,10 @@ def mutated(data: bytes, rng: np.random.Generator, *, name: str) -> bytes:
     """Content with one mutation."""
     if name.endswith(".json") and rng.random() < 0.7:
         return _mutated_json(data, rng)
+    if name.endswith(".toml") and rng.random() < 0.6 and (other := _mutated_values(data, rng)):
+        return other
+    if name.endswith(".csv") and rng.random() < 0.6:
+        return _mutated_cells(data, rng)
     if name.endswith(".ply") and rng.random() < 0.5:
         return _mutated_points(data, rng)
     n = len(data)
@@ -225,6 +251,47 @@ def mutated(data: bytes, rng: np.random.Generator, *, name: str) -> bytes:
             spot = spots[int(rng.integers(0, len(spots)))]
             wrong = _IMPOSSIBLE[int(rng.integers(0, len(_IMPOSSIBLE)))].encode()
             return data[: spot.start()] + wrong + data[spot.end() :]
+
+
+def _mutated_values(data: bytes, rng: np.random.Generator) -> bytes:
+    """A TOML whose one value is another, valid TOML mostly; or without a key, or with a table twice."""
+    lines = data.split(b"\n")
+    keyed = [k for k, line in enumerate(lines) if b" = " in line and not line.lstrip().startswith(b"#")]
+    tables = [k for k, line in enumerate(lines) if line.startswith(b"[")]
+    if not keyed:
+        return b""
+    k = keyed[int(rng.integers(0, len(keyed)))]
+    key, value = lines[k].split(b" = ", 1)
+    others = (*(lines[j].split(b" = ", 1)[1] for j in keyed), *(text.encode() for text in _TOML_VALUES))
+    match int(rng.integers(0, 6)):
+        case 0:
+            del lines[k]
+        case 1 if tables:
+            lines.append(lines[tables[int(rng.integers(0, len(tables)))]])
+        case 2 if spots := list(re.finditer(rb"-?\d+\.?\d*", value)):
+            spot = spots[int(rng.integers(0, len(spots)))]
+            wrong = _TOML_NUMBERS[int(rng.integers(0, len(_TOML_NUMBERS)))].encode()
+            lines[k] = key + b" = " + value[: spot.start()] + wrong + value[spot.end() :]
+        case _:
+            lines[k] = key + b" = " + others[int(rng.integers(0, len(others)))]
+    return b"\n".join(lines)
+
+
+def _mutated_cells(data: bytes, rng: np.random.Generator) -> bytes:
+    """A CSV with one cell that is another, or a row that is missing, doubled or moved."""
+    rows = [line.split(b",") for line in data.rstrip(b"\n").split(b"\n")]
+    row = int(rng.integers(0, len(rows)))
+    match int(rng.integers(0, 6)):
+        case 0:
+            del rows[row]
+        case 1:
+            rows.insert(row, rows[int(rng.integers(0, len(rows)))])
+        case 2:
+            rows[row] = rows[row][:-1]
+        case _:
+            wrong = (*_TOML_NUMBERS, "", "x", "nan", "1e999", '"', "im99.png")
+            rows[row][int(rng.integers(0, len(rows[row])))] = wrong[int(rng.integers(0, len(wrong)))].encode()
+    return b"\n".join(b",".join(line) for line in rows) + b"\n"
 
 
 def _mutated_points(data: bytes, rng: np.random.Generator) -> bytes:
@@ -352,6 +419,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = small_session(Path(name))
         prepare(folder)
+        prepare_more(folder, design_text())
         failures, told, exits = campaign(folder, options.inputs, seed=options.seed, only=options.only)
     print("\n".join(told))
     print(

@@ -21,6 +21,7 @@ def _pair(value: Any) -> Any:
 
 
 Index = Annotated[int, Strict(), Field(ge=0, le=1000)]
+Length = Annotated[Positive, Field(ge=1e-6, le=1e6)]  # of something that is printed or drilled, in any unit
 Count = Annotated[int, Strict(), Field(ge=2, le=1000)]
 _NEEDED = {
     "spots": ("rows", "columns", "pitch"),
@@ -48,12 +49,12 @@ class TargetSection(Section):
     polarity: Polarity | None = None
     rows: Count | None = None
     columns: Count | None = None
-    pitch: Annotated[tuple[Positive, Positive] | None, BeforeValidator(_pair)] = None
-    diameter: Positive | None = None
+    pitch: Annotated[tuple[Length, Length] | None, BeforeValidator(_pair)] = None
+    diameter: Length | None = None
     fiducials: list[tuple[Index, Index]] = Field(default_factory=list)
-    fiducial_diameter: Positive | None = None
+    fiducial_diameter: Length | None = None
     dictionary: str | None = None
-    marker: Positive | None = None
+    marker: Length | None = None
     legacy: Flag = False
     places: list[PlaceSection] = Field(default_factory=list)
     plate: Literal["auto", "marks"] | tuple[Number, Number, Number, Number] = "auto"
@@ -69,6 +70,10 @@ class TargetSection(Section):
         if self.kind == "circles" and self.pitch and self.pitch[0] != self.pitch[1]:
             raise ValueError(
                 "pitch of circles is one length: neighbours along a diagonal are that far apart in x and in y"
+            )
+        if self.kind == "charuco" and self.pitch and self.marker and self.marker >= min(self.pitch):
+            raise ValueError(
+                f"marker {self.marker:g} is not less than the pitch {min(self.pitch):g}; a marker stands within its square"
             )
         if not isinstance(self.plate, str) and not (self.plate[0] < self.plate[1] and self.plate[2] < self.plate[3]):
             raise ValueError(

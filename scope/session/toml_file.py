@@ -107,7 +107,7 @@ def read_csv(path: Path, columns: tuple[str, ...], *, optional: tuple[str, ...] 
     header = [name.strip() for name in rows[0]]
     missing = [name for name in columns if name not in header]
     if missing:
-        raise FileError(f"{path}: the header has {', '.join(header)}; needed too: {', '.join(missing)}")
+        raise FileError(f"{path}: the header has {', '.join(header)[:100]!r}; needed too: {', '.join(missing)[:100]}")
     for number, row in enumerate(rows[1:], start=2):
         if len(row) != len(header):
             raise FileError(f"{path}: row {number} has {len(row)} values; the header names {len(header)}: complete it")
@@ -124,7 +124,7 @@ def numbers(path: Path, column: str, values: list[str]) -> Array:
         except ValueError:
             result[row] = math.nan
         if not math.isfinite(result[row]):
-            raise FileError(f"{path}: row {row + 2}, {column}: found {text!r}; needed: a finite number")
+            raise FileError(f"{path}: row {row + 2}, {column}: found {text[:40]!r}; needed: a finite number")
     return result
 
 
