@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.atomic import written_whole
 from calibration.errors import FileError
+from calibration.geometry import Array
 from scope.cloud import pcd, ply, surveying, text
 from scope.cloud.columns import Columns, Sensors, Systematic
 from scope.cloud.fields import NODE, NORMAL, SENSOR, VERTEX, Stored, columns_of, systematic_names
@@ -32,6 +33,23 @@ _KEPT = {  # what a format carries beside x, y and z
     ".xyz": set[str](),
     ".stl": set[str](),
 }
+_NOT_OTHER = {
+    *(VERTEX.names or ()),
+    "nx",
+    "ny",
+    "nz",
+    "quality",
+    "red",
+    "green",
+    "blue",
+    "alpha",
+    "rgb",
+    "rgba",
+    "r",
+    "g",
+    "b",
+}
+_MOST_OTHER, _LARGEST = 16, 1e30
 
 
 def require_format(path: Path) -> None:
@@ -72,6 +90,23 @@ def read_cloud(path: Path) -> Columns:
     """
     with np.errstate(all="ignore"):  # damaged numbers are refused by their values
         return columns_of(path, _stored(path))
+
+
+def other_scalars(path: Path, rows: int) -> dict[str, Array]:
+    """Scalars (rows,) of a cloud's file that are no columns of a scan, such as a deviation; NaN where not finite.
+
+    Colours, and the copies under the names of other programs, are left out; so are all where the file has other ``rows`` than
+    the cloud that was read of it, and more than the first 16.
+    """
+    fields = {name.removeprefix("scalar_"): values for name, values in _stored(path).fields.items()}
+    found: dict[str, Array] = {}
+    for name, values in fields.items():
+        if name.lower() in _NOT_OTHER or len(values) != rows or values.ndim != 1 or values.dtype.kind not in "fiu":
+            continue
+        held = np.asarray(values, dtype=np.float64)
+        if len(found) < _MOST_OTHER:
+            found[name] = np.where(np.abs(held) < _LARGEST, held, np.nan)
+    return found
 
 
 def _stored(path: Path) -> Stored:

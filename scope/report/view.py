@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from calibration.errors import FileError
+from calibration.geometry import Array
 from calibration.rig import Rig
-from scope.cloud import READ, ScanCloud, unknown
+from scope.cloud import READ, ScanCloud, other_scalars, unknown
 from scope.report.page import Page
 from scope.report.scan import about_cloud, add_uncertainty, add_views
-from scope.viewer import cloud_scene, rig_layers, rig_scene
+from scope.viewer import Scalar, cloud_scene, rig_layers, rig_scene
 
 _LIMIT = 6_000_000  # points in one page: beyond, browsers run out of memory
 
@@ -49,7 +50,9 @@ def _cloud_page(path: Path, cloud: ScanCloud, rig: Rig | None) -> str:
         page.text(unread)
     if rig is not None and cloud.rig_sha256 and rig.sha256 and cloud.rig_sha256 != rig.sha256:
         page.verdict("warn", "The rig that is shown is not the one that ranged this cloud.")
-    scene = cloud_scene(cloud)
+    scene = cloud_scene(
+        cloud, first=[_scalar(name, values) for name, values in other_scalars(path, len(cloud)).items()]
+    )
     told = "The cloud, with everything that its file says of each point"
     if rig is not None:
         scene, told = scene.with_layers(rig_layers(rig)), f"{told}, and the rig in C"
@@ -59,6 +62,12 @@ def _cloud_page(path: Path, cloud: ScanCloud, rig: Rig | None) -> str:
         add_uncertainty(page, cloud)
     about_cloud(page, cloud)
     return page.html()
+
+
+def _scalar(name: str, values: Array) -> Scalar:
+    """A scalar of a file, in mm about zero where its name says that it is a deviation."""
+    signed = any(word in name.lower() for word in ("deviation", "residual", "distance"))
+    return Scalar(name, values, "mm" if signed else "", kind="diverging" if signed else "sequential")
 
 
 def _rig_page(path: Path, rig: Rig) -> str:

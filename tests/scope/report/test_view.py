@@ -52,6 +52,21 @@ def test_a_rig_shows_its_rays_and_sheets(session) -> None:  # type: ignore[no-un
     assert rig.lasers["laser"].along in html
 
 
+def test_scalars_of_the_file_can_be_chosen(tmp_path: Path) -> None:
+    from scope.export import write_scalars
+
+    points = np.random.default_rng(2).uniform(0.0, 9.0, (50, 3))
+    for ending in ("ply", "pcd", "xyz"):
+        path = tmp_path / f"map.{ending}"
+        write_scalars(path, points, {"deviation": points[:, 0] - 4.0, "wear": points[:, 1]})
+        header = told(view_page(path))
+        columns = {column["name"]: column for column in header["columns"]}
+        assert header["shown"] == "deviation"
+        assert (columns["deviation"]["kind"], columns["deviation"]["unit"]) == ("diverging", "mm")
+        assert columns["wear"]["whole"] == pytest.approx([points[:, 1].min(), points[:, 1].max()], abs=1e-5)
+        assert not {"quality", "red"} & set(columns)
+
+
 def test_the_command_keeps_the_page_and_refuses_other_files(tmp_path: Path, session) -> None:  # type: ignore[no-untyped-def]
     page = tmp_path / "page.html"
     done = CliRunner().invoke(app, ["view", str(session.rig), "-o", str(page), "--no-show", "--json"])
