@@ -1,6 +1,6 @@
 """Errors of a pose beside the Cramer-Rao bound of its scan and robust point-to-plane ICP, through rendered images.
 
-    python -m benchmarks.pose_bound [--rigs 1] [--first 0] [--scans 3] [--keep FOLDER] [--store FILE]
+    python -m benchmarks.pose_bound [--rigs 1] [--first 0] [--scans 3] [--keep FOLDER] [--store FILE] [--residuals]
     python -m benchmarks.pose_bound --summary FILE
 
 Each rig is drawn, rendered with a plane and three of six parts, calibrated and scanned; nothing is taken from the truth but
@@ -8,7 +8,7 @@ the regions. The bound is that of least squares with the points' own sigma, all 
 can beat, with no error of calibration and no edges. The peer is open3d's point-to-plane ICP with Tukey's weight (0.1 mm, from
 wide to narrow) on the same points. Both begin 0.3 mm and 0.3 degrees beside the truth (SCOPE tries 64 other starts, too).
 Rows "no sensor", "no sigma" and "half": the same scan with that taken away. Slices: ``--first`` and ``--rigs`` choose the rigs, ``--store``
-gathers one line a scan, ``--summary`` makes the table of all that was stored.
+gathers one line a scan, ``--summary`` makes the table of all that was stored; ``--residuals`` prints what is left at the true pose.
 """
 
 from __future__ import annotations
@@ -212,6 +212,26 @@ def one(which: Scan, model: Model, rng: np.random.Generator) -> dict[str, tuple[
     return told
 
 
+def residuals(which: Scan) -> None:
+    """Residuals at the true pose by the cosine to the camera and the distance from sharp edges in widths of the stripe."""
+    part, cloud, truth = which.part, which.cloud, which.truth
+    surface = Surface(part.vertices, part.faces)
+    local = truth.inverse.apply(cloud.points)
+    taken = cloud.select(np.linalg.norm(surface.nearest(local)[0] - local, axis=1) < 1.0)
+    seen = seen_of(taken, np.arange(len(taken)), taken.sigma.astype(np.float64))
+    rows = rows_at(surface, truth, seen, Frame(part.vertices.mean(axis=0), 1.0), 0.5)
+    stated = seen.scan.sigma * rows.across
+    for low, high in ((0.1, 0.3), (0.3, 0.6), (0.6, 0.85), (0.85, 1.01)):
+        for near, far in ((0.0, 1.0), (1.0, 2.5), (2.5, 99.0)):
+            edge = rows.edge / seen.width
+            mine = rows.used & (rows.slope >= low) & (rows.slope < high) & (edge >= near) & (edge < far)
+            if mine.sum() >= 20:
+                off = rows.residual[mine]
+                spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+                cells = (int(mine.sum()), f"{np.median(off):+.4f}", spread, float(np.median(stated[mine])))
+                row(which.name, f"{low:g} to {min(high, 1):g}", f"{near:g} to {far:g}", *cells)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", type=int, default=1)
@@ -220,7 +240,21 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="folder in which sessions and clouds are kept for the next time")
     parser.add_argument("--store", type=Path, help="file to which each scan adds a line")
     parser.add_argument("--summary", type=Path, nargs="+", help="no scans: the table of what these files hold")
+    parser.add_argument("--residuals", action="store_true", help="no poses: residuals at the truth by slant and edge")
     told = parser.parse_args()
+    if told.residuals:
+        head(
+            "scan",
+            "cosine to camera",
+            "widths from an edge",
+            "points",
+            "median, mm",
+            "robust scatter, mm",
+            "stated, mm",
+        )
+        for which in scans(range(told.first, told.first + told.rigs), told.keep, told.scans):
+            residuals(which)
+        return None
     if told.summary:
         return summary([json.loads(line) for file in told.summary for line in file.read_text().splitlines()])
     results: list[dict[str, tuple[float, float, str]]] = []
