@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -43,6 +44,9 @@ def calibrate(
     check: Annotated[
         str | None, typer.Option("--check", metavar="PLANE", help="Judge one plane's images at the jig.")
     ] = None,
+    retake: Annotated[
+        bool, typer.Option("--retake", help="Take all images anew by the file's [camera], not the missing ones only.")
+    ] = False,
     init: Annotated[bool, typer.Option("--init", help="Write a commented calibration.toml to fill in.")] = False,
     report: Report = None,
     no_history: NoHistory = False,  # noqa: ARG001  (its callback acts)
@@ -56,6 +60,7 @@ def calibrate(
         elif check is not None:
             _check(file, check, as_json=as_json)
         else:
+            _take(file, again=retake)
             _calibrate(file, out, model, order, report, as_json=as_json, quiet=quiet)
 
 
@@ -109,6 +114,32 @@ def _calibrate(
     emit(found.result, as_json=as_json, text=calibration_text(found), inputs=[file, out])
     if not found.rig.verification.passed:
         raise typer.Exit(EXIT_NOT_TO_BE_USED)
+
+
+def _take(file: Path, *, again: bool) -> None:
+    """Take the images that are missing, where the file has a [camera]: whoever stands at the jig answers line by line."""
+    from calibration.errors import FileError
+    from scope.calibrating import take_missing
+    from scope.session import planned_camera
+
+    if not file.is_file() or (not again and planned_camera(file) is None):
+        return  # what is wrong with the file is told by who reads it
+    if again and planned_camera(file) is None:
+        raise FileError(
+            f"{file}: --retake needs a section [camera]; add it (see scope cameras), or take the images by hand"
+        )
+
+    def ask(what: str) -> bool:
+        typer.echo(f"{what}; Enter takes it, q ends: ", err=True, nl=False)
+        answer = sys.stdin.readline()
+        if not answer:
+            raise FileError(
+                f"{what}: no image yet, and nobody answers; call this in a terminal, one Enter a shot, or use scope console"
+            )
+        return answer.strip().lower() not in {"q", "quit"}
+
+    if not take_missing(file, ask, lambda text: typer.echo(text, err=True), again=again):
+        raise FileError(f"{file}: ended before all images were taken; those that were are kept: call it again to go on")
 
 
 def _check(file: Path, plane: str, *, as_json: bool) -> None:

@@ -16,6 +16,7 @@ from calibration.errors import ScopeError
 from scope.console.console import Console
 from scope.console.jobs import Busy
 from scope.history import records_csv
+from scope.viewer import viewer_code
 
 _JOB = Field(
     default="",
@@ -174,10 +175,14 @@ def _add_pictures(app: FastAPI, console: Console) -> None:
     def file_of_scan(name: str, file: str) -> FileResponse:
         return sent(console, "scans", name, file)
 
-    @app.get("/cloud/{name}", include_in_schema=False)
+    @app.get("/cloud/{name}.bin", include_in_schema=False)
     async def cloud(name: str) -> Response:
-        page = await asyncio.to_thread(console.cloud_page, name)
-        return Response(page, media_type="text/html", headers={"content-security-policy": SEALED})
+        data = await asyncio.to_thread(console.cloud_bytes, name)
+        return Response(data, media_type="application/octet-stream", headers={"cache-control": "no-store"})
+
+    @app.get("/viewer.js", include_in_schema=False)
+    def viewer() -> Response:
+        return Response(viewer_code(), media_type="text/javascript", headers={"cache-control": "max-age=3600"})
 
 
 # pages made of files: their own scripts only, nothing from elsewhere and nothing sent anywhere

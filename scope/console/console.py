@@ -26,9 +26,10 @@ from scope.history import Journal, Record, calibration_figures, check_figures, j
 from scope.scanning import Scanner
 from scope.session import CameraSettings, planned_limits, read_capture, read_target
 from scope.version import __version__
-from scope.viewer import cloud_scene, viewer_page
+from scope.viewer import cloud_scene, scene_bytes
 
 MOST_FRAMES = 1_000_000
+_AWAY = 3.0  # s after which nobody is thought to look
 
 
 @dataclass(slots=True, eq=False)
@@ -50,7 +51,8 @@ class Console:
     _scanner: tuple[tuple[float, str], Scanner | None] = ((0.0, ""), None)
     _expected: tuple[float, int | None] = (0.0, None)
     _eye: threading.Lock = field(default_factory=threading.Lock)
-    _looked: float = 0.0
+    _watched: float = 0.0
+    _looking: threading.Thread | None = None
 
     @classmethod
     def open(
@@ -79,18 +81,39 @@ class Console:
         return self._scanner[1]
 
     def frame(self, after: int, timeout: float = 2.0) -> tuple[int, bytes]:
-        """JPEG of the newest frame behind the ``after``-th, with what was found on it; rendered once for all who look."""
+        """JPEG of the newest frame behind the ``after``-th, with what was found last drawn on it; made once for all who look.
+
+        Judging the image goes on in a thread of its own, and neither the camera nor the picture waits for it.
+        """
         count, shot = self.station.wait(after, timeout)
         if shot is None:
             return 0, b""
         with self._eye:
+            self._watched = time.monotonic()
+            if self._looking is None:
+                self._looking = threading.Thread(target=self._look_on, name="eye", daemon=True)
+                self._looking.start()
             if self._jpeg[0] != count:
-                busy = self.jobs.running is not None
-                if self.overlay and time.monotonic() - self._looked > (0.5 if busy else 0.12):
-                    self.look = look_at(shot.image, self.subject, self.scanner() if self.subject == "stripe" else None)
-                    self._looked = time.monotonic()
                 self._jpeg = (count, picture(shot.image, self.look if self.overlay else None, overlay=self.overlay))
             return self._jpeg
+
+    def _look_on(self) -> None:
+        """Judge the newest image, again and again, while somebody looks."""
+        seen = 0
+        while True:
+            with self._eye:
+                if time.monotonic() - self._watched > _AWAY:
+                    self._looking = None
+                    return
+            seen, shot = self.station.wait(seen, 0.5)
+            subject, began = self.subject, time.monotonic()
+            if shot is not None and self.overlay:
+                found = look_at(shot.image, subject, self.scanner() if subject == "stripe" else None)
+                if subject == self.subject:
+                    self.look = found
+            spent = time.monotonic() - began
+            # what ranges or calibrates comes first
+            time.sleep(max(0.5, 2.0 * spent) if self.jobs.running is not None else max(0.1, 0.5 * spent))
 
     def show(self, subject: Subject, plane: str = "") -> None:
         """Look at the stripe or at the target; a simulated camera shows it, on the object or at a stand-off."""
@@ -201,9 +224,9 @@ class Console:
             return b""
         return jpeg_of(points, side)
 
-    def cloud_page(self, name: str) -> str:
-        """The page with the viewer of a scan's cloud."""
-        return viewer_page(cloud_scene(ScanCloud.load(self.file("scans", name, "cloud.ply"))), name)
+    def cloud_bytes(self, name: str) -> bytes:
+        """A scan's cloud as the viewer reads it."""
+        return scene_bytes(cloud_scene(ScanCloud.load(self.file("scans", name, "cloud.ply"))))
 
     def cloud_of(self, scan: str) -> Path:
         """Cloud of a scan, or of the newest where none is named."""
@@ -211,10 +234,6 @@ class Console:
         if not name:
             raise FileError("there is no cloud in the session yet; scan first")
         return self.file("scans", name, "cloud.ply")
-
-    def map_of(self, scan: str) -> tuple[str, tuple[float, float, float], str]:
-        """Map of a scan's cloud; see `measuring.map_of`."""
-        return measuring.map_of(ScanCloud.load(self.cloud_of(scan)))
 
     def keep_model(self, name: str, data: bytes) -> str:
         """Take a mesh into the session."""

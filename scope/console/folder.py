@@ -5,17 +5,12 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
-
-from calibration.atomic import beside, write_text
+from calibration.atomic import write_text
 from calibration.errors import FileError
-from ranging.background import Image
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}")
 MODELS = (".stl", ".obj", ".ply", ".glb", ".3mf", ".step", ".stp")
@@ -105,26 +100,6 @@ class SessionFolder:
 def frame_numbers(scan: Path) -> list[int]:
     """Numbers of the frames that a scan's folder holds."""
     return sorted(int(path.stem) for path in (scan / "frames").glob("*.png") if path.stem.isdigit())
-
-
-def save_image(path: Path, image: Image) -> None:
-    """Write a PNG whole, in a folder that is made where it is not there; ``FileError`` where it cannot be."""
-    save_images([(path, image)])
-
-
-def save_images(images: Sequence[tuple[Path, Image]]) -> None:
-    """Write several PNG, which appear when all of them are on the disk; ``FileError``, and nothing new, where one cannot be."""
-    with ExitStack() as stack:
-        for path, image in images:
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise FileError(f"{path.parent}: cannot be made ({error.strerror}); free space") from error
-            done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-            if not done:
-                raise FileError(f"{path}: the image cannot be encoded")
-            part = stack.enter_context(beside(path))
-            part.write_bytes(data.tobytes())
 
 
 def write_toml(path: Path, content: dict[str, Any], comment: str) -> None:

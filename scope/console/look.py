@@ -41,6 +41,7 @@ class Look:
     spots: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (N, 2) px
     rejected: tuple[tuple[float, float, str], ...] = ()  # spots that are none
     unit: str = "px"  # of sigma
+    white: int = 255  # grey level at which the camera clips
 
     def profile(self) -> list[list[float]]:
         """Pairs (mm along the stripe, mm z) of the points, at most 400."""
@@ -86,7 +87,12 @@ def look_at(image: Image, subject: Subject, scanner: Scanner | None = None) -> L
     white = saturation_level(image.dtype)
     histogram = np.histogram(grey[::2, ::2], bins=64, range=(0, white))[0]
     size = (image.shape[1], image.shape[0])
-    common: dict[str, Any] = {"subject": subject, "size": size, "histogram": tuple(int(n) for n in histogram)}
+    common: dict[str, Any] = {
+        "subject": subject,
+        "size": size,
+        "histogram": tuple(int(n) for n in histogram),
+        "white": white,
+    }
     if subject == "target":
         return _target(grey, white, common)
     return _stripe(image, grey, white, common, scanner)

@@ -2,40 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from calibration.atomic import write_text
 from calibration.errors import FileError
 from scope.cloud import ScanCloud, parse_region
 from scope.console.folder import MODELS, SessionFolder
-from scope.report import cloud_from
-
-_WIDE = 900  # px of the map
-
-
-def map_of(cloud: ScanCloud) -> tuple[str, tuple[float, float, float], str]:
-    """Map of a cloud seen along z as a data address; (x, y) mm of its corner and px a mm; and its size in words."""
-    if len(cloud) == 0:
-        raise FileError("the cloud is empty; scan again")
-    x, y, _ = np.eye(3)
-    low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
-    a, b = np.percentile(cloud.points[:, 0], [0.2, 99.8])
-    c, d = np.percentile(cloud.points[:, 1], [0.2, 99.8])
-    picture = cloud_from(cloud.points, cloud.points[:, 2], x, y, width=_WIDE)
-    scale = min((_WIDE - 20) / max(b - a, 1e-9), (picture.shape[0] - 20) / max(d - c, 1e-9))
-    data = cv2.imencode(".png", picture)[1].tobytes()
-    size = " x ".join(f"{e:.1f}" for e in high - low)
-    place = (float(a) - 10.0 / scale, float(c) - 10.0 / scale, float(scale))
-    return (
-        f"data:image/png;base64,{base64.b64encode(data).decode('ascii')}",
-        place,
-        f"{len(cloud)} points within {size} mm",
-    )
 
 
 def roughness(cloud: Path, region: str | None) -> dict[str, Any]:

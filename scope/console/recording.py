@@ -19,11 +19,11 @@ from calibration.errors import FileError, ScopeError
 from calibration.geometry import Array
 from calibration.rig import Rig
 from scope.cameras import CameraSource, Grabber, Placed, Shot
-from scope.console.folder import NAME, SessionFolder, frame_numbers, save_image, write_toml
+from scope.console.folder import NAME, SessionFolder, frame_numbers, write_toml
 from scope.console.jobs import Job
 from scope.console.station import Station
 from scope.scanning import Chunk, Scan, gathered, open_scan
-from scope.session import ON_FILES, CameraSettings, Clock, Folder, Follower, Frame, Source, read_capture
+from scope.session import ON_FILES, CameraSettings, Clock, Folder, Follower, Frame, Source, read_capture, save_image
 
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
 MOTIONS = ("linear", "turntable", "fixed")

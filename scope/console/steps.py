@@ -10,12 +10,12 @@ from typing import Any, Literal
 
 from calibration.atomic import write_text
 from calibration.errors import FileError, ScopeError
-from scope.console.folder import SessionFolder, save_images, write_toml
+from scope.calibrating import DARK, LASER, REPEATS, TARGET, image_places, images_there, keep_shots, shots_of
+from scope.console.folder import SessionFolder, write_toml
 from scope.console.jobs import Job
 from scope.console.station import Station
 from scope.session import PlannedPlane, planned_planes
 
-TARGET, LASER, DARK = "target", "laser", "dark"  # what is taken at a stand-off; "laser NAME" where there are several
 Light = Literal["good", "poor", "taken", "empty", "skipped"]
 
 
@@ -33,16 +33,13 @@ class Step:
     @classmethod
     def of(cls, plane: PlannedPlane) -> Step:
         """Step of a plane in the file."""
-        shots = {TARGET: plane.images}
-        shots |= {f"{LASER} {name}".rstrip(): patterns for name, patterns in plane.laser.items()}
-        shots |= {f"{DARK} {name}".rstrip(): patterns for name, patterns in plane.background.items()}
-        return cls(plane.name, shots)
+        return cls(plane.name, shots_of(plane))
 
 
 class Steps:
     """Steps of the session's calibration.toml, read anew where the file has changed."""
 
-    def __init__(self, folder: SessionFolder, *, repeats: int = 3) -> None:
+    def __init__(self, folder: SessionFolder, *, repeats: int = REPEATS) -> None:
         self.folder, self.repeats = folder, repeats
         self._judged: dict[str, tuple[tuple[float, ...], Light, str, dict[str, bool]]] = {}
 
@@ -64,14 +61,17 @@ class Steps:
         self._step(name)
         write_text(self._skips, json.dumps(sorted(names | {name} if out else names - {name})))
 
-    def all(self) -> list[Step]:
-        """Every step with its light; ``FileError`` where there is no calibration.toml that can be read."""
+    def all(self, *, judge: bool = True) -> list[Step]:
+        """Every step with its light; ``FileError`` where there is no calibration.toml that can be read.
+
+        Without ``judge`` images that nobody has judged yet are only told of, which takes no time.
+        """
         skipped = self.skipped()
         steps = []
         for plane in planned_planes(self.folder.calibration):
             step = Step.of(plane)
             step.files = {kind: len(self._there(patterns)) for kind, patterns in step.shots.items()}
-            self._judge(step, skipped)
+            self._judge(step, skipped, judge=judge)
             steps.append(step)
         return steps
 
@@ -87,13 +87,10 @@ class Steps:
         for each in kinds:
             if each not in step.shots:
                 raise FileError(f"{name}: calibration.toml asks for no {each[:60]} there")
-            paths = self._places(step.shots[each])
+            paths = image_places(self.folder.root, step.shots[each], self.repeats)
             lit = each.startswith(LASER)
             shots = station.take(len(paths), laser=lit, plane="" if each.startswith(DARK) else name)
-            old = set(self._there(step.shots[each]))
-            save_images([(path, shot.image) for path, shot in zip(paths, shots, strict=True)])
-            for path in old - set(paths):
-                path.unlink(missing_ok=True)
+            keep_shots(self.folder.root, step.shots[each], [shot.image for shot in shots], paths)
             taken.append(f"{len(paths)} of the {each}")
         if name in self.skipped():
             self.skip(name, out=False)
@@ -134,7 +131,7 @@ class Steps:
                 return Step.of(plane)
         raise FileError("calibration.toml has no such stand-off")
 
-    def _judge(self, step: Step, skipped: set[str]) -> None:
+    def _judge(self, step: Step, skipped: set[str], *, judge: bool) -> None:
         """Light of a step by what `scope calibrate --check` says of its images."""
         from scope.calibrating import check_plane
 
@@ -145,7 +142,11 @@ class Steps:
         if not there:
             return
         when = tuple(path.stat().st_mtime for path in there)
-        if step.name not in self._judged or self._judged[step.name][0] != when:
+        known = step.name in self._judged and self._judged[step.name][0] == when
+        if not known and not judge:
+            step.light, step.told = "taken", "judging"
+            return
+        if not known:
             try:
                 result = check_plane(self.folder.calibration, step.name)
             except ScopeError as error:
@@ -163,38 +164,13 @@ class Steps:
 
     def _there(self, patterns: tuple[str, ...]) -> list[Path]:
         """Images of some patterns within the session folder."""
-        for pattern in patterns:
-            self._within(pattern)
-        return sorted({path for pattern in patterns for path in self.folder.root.glob(pattern) if path.is_file()})
-
-    def _places(self, patterns: tuple[str, ...]) -> list[Path]:
-        """Where images go so that the patterns find them."""
-        for pattern in patterns:
-            self._within(pattern)
-        if not any(sign in pattern for pattern in patterns for sign in "*?["):
-            return [self.folder.root / pattern for pattern in patterns]
-        parent, name = Path(patterns[0]).parent, Path(patterns[0]).name
-        if len(patterns) > 1 or name.count("*") != 1 or any(sign in name for sign in "?[") or "*" in str(parent):
-            raise FileError(
-                f"calibration.toml: {patterns[0][:80]}: no new image can be named by it; write folder/*.png"
-            )
-        named = name if Path(name).suffix.lower() in {".png", ".tif", ".tiff", ".bmp"} else "*.png"
-        return [self.folder.root / parent / named.replace("*", str(k)) for k in range(self.repeats)]
-
-    def _within(self, pattern: str) -> None:
-        if Path(pattern).is_absolute() or ".." in Path(pattern).parts:
-            raise FileError(f"calibration.toml: {pattern[:80]}: leads out of the session folder; name images inside it")
-        parent = self.folder.root / Path(pattern).parent
-        if not parent.resolve().is_relative_to(self.folder.root):
-            raise FileError(
-                f"calibration.toml: {pattern[:80]}: leads out of the session folder by a link; use a folder inside it"
-            )
+        return images_there(self.folder.root, patterns)
 
 
 def _checks(result: dict[str, Any]) -> dict[str, bool]:
     """What the command's judgement is made of, each good or not; what it could not judge is left out."""
     found, expected, share = result["used"], result["expected"], result.get("saturated")
-    checks = {f"{found} of {expected} found": bool(expected and found >= 0.95 * expected)}
+    checks = {f"{found} of {expected} found": f"only {found} of" not in result["remedy"]}
     if share is not None:
         clipped = "are clipped" in result["remedy"]  # by the command's own limit
         checks[f"{100 * share:.0f} % clipped" if share else "not clipped"] = not clipped

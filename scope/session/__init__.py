@@ -16,6 +16,7 @@ from scope.session.calibration_file import (
     planned_camera,
     planned_limits,
     planned_planes,
+    planned_views,
     read_calibration,
 )
 from scope.session.camera_section import DRIVERS, ON_FILES, CameraSection, CameraSettings, camera_settings
@@ -45,6 +46,8 @@ from scope.session.images import (
     mean_image,
     read_alike,
     read_image,
+    save_image,
+    save_images,
     shape_text,
 )
 from scope.session.in_memory import CalibrationSession, PlaneView, plan_of
@@ -107,11 +110,14 @@ __all__ = [
     "planned_camera",
     "planned_limits",
     "planned_planes",
+    "planned_views",
     "read_alike",
     "read_calibration",
     "read_capture",
     "read_hand_eye_plan",
     "read_image",
+    "save_image",
+    "save_images",
     "read_pose_log",
     "read_target",
     "read_toml",

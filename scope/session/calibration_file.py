@@ -264,6 +264,18 @@ def planned_planes(path: Path) -> tuple[PlannedPlane, ...]:
     )
 
 
+def planned_views(path: Path) -> tuple[tuple[str, ...], ...]:
+    """Patterns of the [[views]] that one camera can take, target and laser in one image; ``FileError`` for others."""
+    found = []
+    for section in read_toml(path, CalibrationSection).views:
+        if section.laser not in (None, "same") or section.background is not None:
+            raise FileError(
+                f'{path}: views.laser: the [camera] takes freehand views with laser = "same" or without; record the others by hand'
+            )
+        found.append(_patterns(section.images))
+    return tuple(found)
+
+
 def planned_camera(path: Path) -> CameraSettings | None:
     """The [camera] of calibration.toml, whose images may still be to take; None where it has none."""
     raw = read_toml(path, CalibrationSection)

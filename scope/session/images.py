@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.atomic import beside
 from calibration.errors import FileError
 from calibration.geometry import Array
 from ranging.background import Image
@@ -177,3 +179,25 @@ def mean_image(images: Sequence[Image]) -> Image:
     if images[0].dtype == np.uint8:
         return np.asarray(np.rint(mean * 257.0), dtype=np.uint16)
     return np.asarray(np.rint(mean), dtype=np.uint16)
+
+
+def save_image(path: Path, image: Image) -> None:
+    """Write a PNG whole, in a folder that is made where it is not there; ``FileError`` where it cannot be."""
+    save_images([(path, image)])
+
+
+def save_images(images: Sequence[tuple[Path, Image]]) -> None:
+    """Write several PNG, which appear when all of them are on the disk; ``FileError``, and nothing new, where one cannot be."""
+    import cv2
+
+    with ExitStack() as stack:
+        for path, image in images:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise FileError(f"{path.parent}: cannot be made ({error.strerror}); free space") from error
+            done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            if not done:
+                raise FileError(f"{path}: the image cannot be encoded")
+            part = stack.enter_context(beside(path))
+            part.write_bytes(data.tobytes())

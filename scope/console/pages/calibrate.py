@@ -37,7 +37,9 @@ def add_calibrate(console: Console) -> None:
 def _now(console: Console) -> None:
     """What the image of this moment would be judged."""
     if console.jobs.running is None:
-        say(lambda: console.show("target"))
+        steps = say(partial(console.steps.all, judge=False)) or []
+        waiting = [step.name for step in steps if step.light == "empty"] + [step.name for step in steps]
+        say(lambda: console.show("target", waiting[0] if waiting else ""))
     advice = told("looking")
     content = table()
 
@@ -65,7 +67,7 @@ def _steps(console: Console) -> None:
                 "warn",
             )
             return
-        steps_there = say(console.steps.all) or []
+        steps_there = say(partial(console.steps.all, judge=False)) or []
         if not steps_there:
             told(
                 "calibration.toml has no [[plane]]: freehand [[views]] are taken by hand, and calibrated below.", "warn"
@@ -85,7 +87,13 @@ def _steps(console: Console) -> None:
                 with ui.element("div").style("display:flex;gap:.4rem;margin-left:auto"):
                     _buttons(console, step, steps.refresh)
 
+    async def judge() -> None:
+        with refused():
+            await run.io_bound(console.steps.all)
+        steps.refresh()
+
     steps()
+    ui.timer(0.1, judge, once=True)
 
 
 def _buttons(console: Console, step: Step, refresh: Any) -> None:

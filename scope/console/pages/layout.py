@@ -26,6 +26,7 @@ body{color:var(--text);background:var(--page);font:15px/1.5 system-ui,sans-serif
 .nicegui-content{padding:0}
 .bar{position:sticky;top:0;z-index:10;display:flex;flex-wrap:wrap;align-items:center;gap:.2rem .9rem;width:100%;padding:.5rem 1rem;border-bottom:1px solid var(--line);background:var(--page)}
 .bar b{font-size:1.05rem;letter-spacing:.03em}.bar nav{display:flex;flex-wrap:wrap;gap:.1rem}
+@media(max-width:30rem){.bar nav{gap:0}.bar a{padding:.3rem .42rem;font-size:.95rem}.state{margin-left:0;width:100%;font-size:.82rem}}
 .bar a{color:var(--text);text-decoration:none;padding:.3rem .6rem;border-radius:6px}.bar a:hover{background:var(--soft)}
 .bar a[aria-current=page]{background:var(--link);color:var(--page);font-weight:600}
 .state{margin-left:auto;color:var(--muted);font-size:.9rem}
@@ -44,11 +45,12 @@ body{color:var(--text);background:var(--page);font:15px/1.5 system-ui,sans-serif
 .lamp.good{background:var(--good);border-color:var(--good)}.lamp.taken{background:linear-gradient(90deg,var(--good) 50%,transparent 50%);border-color:var(--good)}
 .lamp.poor{background:var(--bad);border-color:var(--bad)}.lamp.skipped{border-style:dashed}
 .muted{color:var(--muted);font-size:.9rem}.wide{overflow-x:auto;width:100%}
+scope-cloud{display:block;width:100%;height:min(70vh,40rem)}
 .viewer{width:100%;height:min(70vh,40rem);border:1px solid var(--line);border-radius:8px;background:#10151c}
 .step{display:flex;flex-wrap:wrap;gap:.4rem .8rem;align-items:center;width:100%;padding:.5rem 0;border-bottom:1px solid var(--line)}
 .step .what{flex:1 1 14rem;min-width:0;overflow-wrap:anywhere}
 .chips{display:flex;flex-wrap:wrap;gap:.2rem .5rem}.chip{font-size:.82rem}.chip.good{color:var(--good)}.chip.bad{color:var(--bad);font-weight:600}
-.fields{display:flex;flex-wrap:wrap;gap:.6rem .8rem;align-items:flex-start;width:100%;margin:.3rem 0}.fields>.q-btn{min-height:40px}.fields>.q-checkbox{min-height:40px}
+.fields{display:flex;flex-wrap:wrap;gap:.6rem .8rem;align-items:flex-start;width:100%;margin:.3rem 0}.fields>.q-btn,.fields>.q-btn-group{min-height:40px}.step .q-btn{min-width:3.6rem;min-height:34px}.q-btn-group .q-btn{padding:4px 10px}.fields>.q-checkbox{min-height:40px}
 """
 _LIVE = """
 <script>
@@ -81,6 +83,7 @@ def framed(console: Console, name: str) -> Iterator[None]:
     """A page with its head; what is made inside stands in its body."""
     ui.page_title(f"{name} - SCOPE")
     ui.add_css(_STYLE)
+    ui.colors(primary="#1f5fa8", positive="#1f8a4c", negative="#c0342c", warning="#a86a00")
     with ui.element("header").classes("bar"):
         ui.html("<b>SCOPE</b>", sanitize=False)
         with ui.element("nav").props('aria-label="pages"'):
@@ -113,11 +116,23 @@ def framed(console: Console, name: str) -> Iterator[None]:
     ui.timer(0.7, refresh)
 
 
+EMPTY = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"  # until there is one
+
+
 def live_image() -> Any:
     """The camera's image, asked for again as soon as it has come."""
-    image = ui.element("img").classes("live").props('id="live" alt="live image of the camera" tabindex="0"')
+    image = (
+        ui.element("img").classes("live").props(f'id="live" alt="live image of the camera" tabindex="0" src="{EMPTY}"')
+    )
     ui.add_body_html(_LIVE)
     return image
+
+
+def cloud_viewer(name: str, *, region: bool = False) -> Any:
+    """The viewer of the reports with the cloud of a scan; the page has its script in the head."""
+    return ui.element("scope-cloud").props(
+        f'src="/cloud/{name}.bin" label="cloud of {name}"{" region" if region else ""}'
+    )
 
 
 def figures(rows: dict[str, str] | Sequence[tuple[str, ...]], head: tuple[str, ...] = ()) -> str:

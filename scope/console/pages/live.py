@@ -32,7 +32,7 @@ def add_live(console: Console) -> None:
                     empty = ui.label("shown in mm once there is a rig, for the stripe").classes("muted")
                     profile = chart("scatter", "along the stripe, mm", "z, mm")
                 with box("Histogram"):
-                    histogram = chart("bar", "grey level / 4", "pixels", height="9rem")
+                    histogram = chart("bar", "grey level", "pixels", height="9rem")
                 _settings(console)
 
         def point(event: Any) -> None:
@@ -62,7 +62,9 @@ def add_live(console: Console) -> None:
             profile.set_visibility(bool(len(look.points)))
             profile.options["series"][0]["data"] = look.profile()
             profile.update()
-            histogram.options["series"][0]["data"] = [[k, n] for k, n in enumerate(look.histogram) if n]
+            histogram.options["series"][0]["data"] = [
+                [round((k + 0.5) * look.white / len(look.histogram)), n] for k, n in enumerate(look.histogram) if n
+            ]
             histogram.update()
 
         ui.timer(0.5, refresh)

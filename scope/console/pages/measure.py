@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from nicegui import ui
 
 from scope.console.console import Console
-from scope.console.pages.layout import box, figures, framed, refused, say, table, told
+from scope.console.pages.layout import box, cloud_viewer, figures, framed, refused, say, table, told
 
 
 def add_measure(console: Console) -> None:
@@ -19,6 +18,7 @@ def add_measure(console: Console) -> None:
     @ui.page("/measure")
     def measure() -> None:
         clouds = console.folder.clouds()
+        ui.add_head_html('<script src="/viewer.js" defer></script>')
         with framed(console, "Measure"):
             if not clouds:
                 told("There is no cloud in the session yet: scan first.", "warn")
@@ -26,7 +26,7 @@ def add_measure(console: Console) -> None:
             with ui.element("div").classes("two"):
                 with ui.column().classes("w-full gap-3"):
                     scan = ui.select(clouds, value=clouds[0], label="scan").props("dense outlined").classes("w-full")
-                    region = _region(console, scan)
+                    region = _region(scan)
                 with ui.column().classes("w-full gap-3"):
                     _roughness(console, scan, region)
                     _pose(console, scan)
@@ -35,54 +35,33 @@ def add_measure(console: Console) -> None:
                         _answer(console)
 
 
-def _region(console: Console, scan: Any) -> Callable[[], str | None]:
-    """Map of the cloud on which a rectangle is drawn; gives it as box:x0,x1,y0,y1."""
-    with box("Region: draw it on the map, or type it"):
-        image = (
-            ui.interactive_image("", cross="#3d8fd1", events=["mousedown", "mouseup"])
-            .classes("w-full")
-            .props('alt="map of the cloud, seen along z"')
-            .mark("map")
-        )
+def _region(scan: Any) -> Callable[[], str | None]:
+    """The cloud, on which a rectangle is drawn; gives it as box:x0,x1,y0,y1."""
+    with box("Region: draw it on the cloud (Region), or type it"):
+        place = ui.element("div").classes("w-full")
         with ui.element("div").classes("fields"):
             fields = [
                 ui.number(name, format="%.4g").props("dense outlined clearable").classes("w-28")
                 for name in ("x from", "x to", "y from", "y to")
             ]
-        note = ui.label("Empty: the whole cloud. x runs to the right, y down; mm, cloud frame.").classes("muted")
-    place: dict[str, Any] = {}
-    corner: list[float] = []
+        ui.label("Empty: the whole cloud. mm, in the cloud's frame.").classes("muted")
+
+    def drawn(event: Any) -> None:
+        detail = event.args.get("detail") if isinstance(event.args, dict) else None
+        if not isinstance(detail, dict):
+            return
+        try:
+            values = [float(value) for axis in ("x", "y") for value in detail[axis][:2]]
+        except (KeyError, TypeError, ValueError):
+            return
+        for field, value in zip(fields, values, strict=True):
+            field.set_value(round(value, 3))
 
     def load() -> None:
-        found = say(partial(console.map_of, str(scan.value)))
-        if found is None:
-            return
-        address, (x0, y0, scale), size = found
-        place.update(x0=x0, y0=y0, scale=scale)
-        image.set_source(address)
-        image.content = ""
-        note.set_text(f"{size}. Empty: the whole cloud. x runs to the right, y down; mm, cloud frame.")
+        place.clear()
+        with place:
+            cloud_viewer(str(scan.value), region=True).on("scope-region", drawn, ["detail"])
 
-    def mouse(event: Any) -> None:
-        if not place:
-            return
-        if event.type == "mousedown":
-            corner[:] = [event.image_x, event.image_y]
-        elif event.type == "mouseup" and corner:
-            (u0, u1), (v0, v1) = sorted((corner[0], event.image_x)), sorted((corner[1], event.image_y))
-            corner.clear()
-            if u1 - u0 < 3 or v1 - v0 < 3:
-                return
-            values = [place["x0"] + u0 / place["scale"], place["x0"] + u1 / place["scale"],
-                      place["y0"] + v0 / place["scale"], place["y0"] + v1 / place["scale"]]  # fmt: skip
-            for field, value in zip(fields, values, strict=True):
-                field.set_value(round(value, 3))
-            image.content = (
-                f'<rect x="{u0:.0f}" y="{v0:.0f}" width="{u1 - u0:.0f}" height="{v1 - v0:.0f}" fill="#ffffff22" stroke="#ff5c5c" '
-                'stroke-width="2"/>'
-            )
-
-    image.on_mouse(mouse)
     scan.on_value_change(load)
     load()
 
@@ -143,6 +122,7 @@ def _check(console: Console, scan: Any, region: Callable[[], str | None]) -> Non
 def _answer(console: Console) -> None:
     state = told("Nothing was measured yet.")
     content = table()
+    links = ui.element("div").classes("fields")
     seen: list[Any] = [None]
 
     def refresh() -> None:
@@ -163,5 +143,11 @@ def _answer(console: Console) -> None:
         )
         state.classes(replace=f"told {level}")
         content.set_content(figures(job.result["rows"], job.result["head"]) if job.state == "done" else "")
+        links.clear()
+        with links:
+            for file in (f"{job.kind}.html", "cloud.ply"):
+                name = str(job.result.get("scan", ""))
+                if name and (console.folder.scan(name) / file).is_file():
+                    ui.link(file, f"/files/scans/{name}/{file}", new_tab=file.endswith("html"))
 
     ui.timer(0.5, refresh, immediate=True)

@@ -9,7 +9,7 @@ from nicegui import ui
 
 from scope.console.console import Console
 from scope.console.folder import frame_numbers
-from scope.console.pages.layout import box, figures, framed, live_image, say, table, told
+from scope.console.pages.layout import EMPTY, box, cloud_viewer, figures, framed, live_image, say, table, told
 from scope.report import why_no_point
 
 _GROWING = """
@@ -39,6 +39,7 @@ def add_scan(console: Console) -> None:
     @ui.page("/scan")
     def scan() -> None:
         ui.add_body_html(_GROWING)
+        ui.add_head_html('<script src="/viewer.js" defer></script>')
         with framed(console, "Scan"), ui.element("div").classes("two"):
             with ui.column().classes("w-full gap-3"):
                 _cloud(console)
@@ -204,7 +205,9 @@ def _cloud(console: Console) -> None:
     state = told("No scan yet.")
     with ui.element("div").classes("two") as growing:
         pictures = [
-            ui.element("img").classes("live growing").props(f'alt="the cloud so far, {side}" data-side="{side}"')
+            ui.element("img")
+            .classes("live growing")
+            .props(f'alt="the cloud so far, {side}" data-side="{side}" src="{EMPTY}"')
             for side in ("top", "side")
         ]
     viewer = ui.element("div").classes("w-full")
@@ -255,8 +258,9 @@ def _tell(state: Any, found: dict[str, Any]) -> None:
 
 
 def _finished(console: Console, name: str) -> None:
-    ui.element("iframe").classes("viewer").props(f'src="/cloud/{name}" title="cloud of {name}"')
+    cloud_viewer(name)
     with ui.element("div").classes("fields"):
+        ui.label("downloads").classes("muted")
         for file in ("cloud.ply", "report.html", "capture.toml"):
             if (console.folder.scan(name) / file).is_file():
                 ui.link(file, f"/files/scans/{name}/{file}", new_tab=file.endswith("html"))
