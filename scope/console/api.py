@@ -72,6 +72,9 @@ class PoseAsked(_Asked):
     job: str = _JOB
     model: str = Field(max_length=100, description="file in the folder `models` of the session")
     scan: str = Field(default="", max_length=64, description="name of a scan; the newest where it is left out")
+    region: str | None = Field(
+        default=None, max_length=200, pattern=r"^box:[-+0-9.eE,]+$", description="box:x0,x1,y0,y1[,z0,z1], mm"
+    )
 
 
 def add_api(app: FastAPI, console: Console) -> None:
@@ -115,7 +118,7 @@ def add_api(app: FastAPI, console: Console) -> None:
     @api.post("/pose", status_code=202)
     def pose(asked: PoseAsked) -> dict[str, Any]:
         """Find a part in a scan; ask for the answer at /job/{job}."""
-        return told(console.start_pose(asked.scan, asked.model, asked.job).content)
+        return told(console.start_pose(asked.scan, asked.model, asked.job, region=asked.region).content)
 
     @api.get("/scan/{name}/{file}")
     def scan_file(name: str, file: Literal["cloud.ply", "report.html", "capture.toml"]) -> FileResponse:

@@ -245,10 +245,11 @@ class Console:
             "roughness", scan, {"region": region}, lambda cloud: measuring.roughness(cloud, region), identity
         )
 
-    def start_pose(self, scan: str, model: str, identity: str = "") -> Job:
-        """Pose of a part whose mesh stands in ``models``."""
+    def start_pose(self, scan: str, model: str, identity: str = "", *, region: str | None = None) -> Job:
+        """Pose of a part whose mesh stands in ``models``, anywhere in a scan or within a region of it."""
         path = self.file("models", model)
-        return self._measure("pose", scan, {"model": model}, lambda cloud: measuring.pose(cloud, path), identity)
+        asked = {"model": model, "region": region}
+        return self._measure("pose", scan, asked, lambda cloud: measuring.pose(cloud, path, region), identity)
 
     def start_check(
         self, scan: str, artefact: str, tolerance: float | None, region: str | None, identity: str = ""

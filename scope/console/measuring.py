@@ -37,13 +37,13 @@ def roughness(cloud: Path, region: str | None) -> dict[str, Any]:
     }
 
 
-def pose(cloud: Path, model: Path) -> dict[str, Any]:
-    """Pose of a part, with the page of the command beside the cloud; matrices as ``scope pose --json`` prints them."""
+def pose(cloud: Path, model: Path, region: str | None) -> dict[str, Any]:
+    """Pose of a part, anywhere or within a region, with the page of the command beside the cloud; matrices as ``scope pose --json`` prints them."""
     from scope.pose import estimate_pose, place, pose_result
     from scope.report import pose_html
 
     scan = ScanCloud.load(cloud)
-    found = estimate_pose(scan, model)
+    found = estimate_pose(scan, model, region=parse_region(region)[1] if region else None)
     placed = place(scan, found, "last", None)
     write_text(cloud.parent / "pose.html", pose_html(scan, placed))
     content = pose_result(placed)
@@ -69,15 +69,16 @@ def pose(cloud: Path, model: Path) -> dict[str, Any]:
 def check(cloud: Path, artefact: str, tolerance: float | None, region: str | None) -> dict[str, Any]:
     """Errors of a scan of a known artefact."""
     from scope.check import Artefact, check_artefact, check_result, out_of_tolerance
+    from scope.report import check_page
 
     if artefact.strip().startswith("mesh:"):
         raise ValueError("choose a plane, sphere, cylinder or steps; a mesh is checked by scope check")
     known = Artefact.parse(artefact)
     if tolerance is not None and not tolerance > 0:
         raise ValueError(f"tolerance {tolerance:g} must be positive, mm")
-    found = check_artefact(
-        ScanCloud.load(cloud), known, tolerance=tolerance, region=parse_region(region)[1] if region else None
-    )
+    scan = ScanCloud.load(cloud)
+    found = check_artefact(scan, known, tolerance=tolerance, region=parse_region(region)[1] if region else None)
+    write_text(cloud.parent / "check.html", check_page((found,), [(cloud.parent.name, scan)], tolerance=tolerance))
     content = check_result(found)
     rows = [
         (size["name"], f"{size['measured']:.4f}", f"{size['error']:+.4f} ± {size['uncertainty']:.4f}")

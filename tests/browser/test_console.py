@@ -21,9 +21,11 @@ from benchmarks.small_session import DESIGN
 
 ROOT = Path(__file__).resolve().parents[2]
 CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
+BRACKET = ("-125", "-78", "-22", "22", "400", "449")  # mm, about the bracket of the design
 KEEP = os.environ.get("SCOPE_SCREENSHOTS")  # folder for pictures of every page
-pytest.importorskip("nicegui", reason="the extra 'console' is not installed")
-webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+WITHOUT = "is not installed; run: .venv/bin/python -m pip install -e '.[console,browser]' (make test does)"
+pytest.importorskip("nicegui", reason=f"nicegui {WITHOUT}")
+webdriver = pytest.importorskip("selenium.webdriver", reason=f"selenium {WITHOUT}")
 
 
 class Served:
@@ -78,9 +80,17 @@ class Served:
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A console on examples/window-design.toml: whole with SCOPE_WHOLE=1, else with fewer stand-offs and every fourth frame."""
     home = tmp_path_factory.mktemp("console")
-    design = home / "design.toml"
-    design.write_text(DESIGN, encoding="utf-8")
+    design = home / "window-design.toml"
+    text = (ROOT / "examples" / "window-design.toml").read_text(encoding="utf-8")
+    if not os.environ.get("SCOPE_WHOLE"):
+        for whole, less in (
+            ("[340, 375, 410, 445, 480]", "[340, 410, 480]"), ("step = 0.5", "step = 2.0"), ("frames = 110", "frames = 28")
+        ):  # fmt: skip
+            assert whole in text
+            text = text.replace(whole, less)
+    design.write_text(text, encoding="utf-8")
     console = Served(home / "session", "--simulate", str(design))
     yield console
     console.close()
@@ -89,7 +99,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     if CHROMIUM is None or DRIVER is None:
-        pytest.skip("chromium and chromium-driver are not installed")
+        pytest.skip("no browser; run: sudo apt-get install -y chromium chromium-driver (make test does, where it may)")
     options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM
     for word in (
@@ -134,9 +144,26 @@ def text_of(browser: Any) -> str:
     return str(browser.execute_script("return document.body.innerText"))
 
 
+def fill(browser: Any, label: str, value: str) -> None:
+    """Type into the field of a label, as from a keyboard."""
+    from selenium.webdriver.common.keys import Keys
+
+    field = until(lambda: browser.find_element("css selector", f"input[aria-label='{label}']"), seconds=20)
+    field.send_keys(Keys.CONTROL, "a")
+    field.send_keys(value, Keys.TAB)
+
+
+VIEWS = (
+    ("wide", 1280, 900, False),
+    ("narrow-dark", 390, 844, True),
+    ("wide-dark", 1280, 900, True),
+    ("narrow", 390, 844, False),
+)
+
+
 def keep(browser: Any, name: str) -> None:
-    """Pictures wide and narrow, light and dark; nothing may run out of the page, nothing may have failed in it."""
-    for width, height, dark in ((1280, 900, False), (390, 844, True)):
+    """Wide and light, narrow and dark: nothing may run out of the page, nothing may have failed in it. Pictures where asked for."""
+    for view, width, height, dark in VIEWS if KEEP else VIEWS[:2]:
         browser.execute_cdp_cmd(
             "Emulation.setDeviceMetricsOverride",
             {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600},
@@ -145,26 +172,47 @@ def keep(browser: Any, name: str) -> None:
             "Emulation.setEmulatedMedia",
             {"features": [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]},
         )
-        time.sleep(0.6)
         until(lambda width=width: browser.execute_script(FITS, width), seconds=15)
         if KEEP:
-            browser.save_screenshot(str(Path(KEEP) / f"{name}-{'narrow-dark' if dark else 'wide'}.png"))
+            time.sleep(2.0)
+            browser.save_screenshot(str(Path(KEEP) / f"{name}-{view}.png"))
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def shown(browser: Any) -> Any:
+    """Whether a live image is there."""
+    return int(browser.execute_script("return document.getElementById('live').dataset.frame || 0")) > 0
 
 
 def test_a_person_without_hardware(served: Served, browser: Any) -> None:
     """The steps depend on each other: one test."""
+    from selenium.webdriver.common.keys import Keys
+
     browser.get(served.link)
     until(lambda: int(browser.execute_script("return document.getElementById('live').dataset.frame || 0")) > 3)
     until(lambda: "lines with a point" in text_of(browser))
+    fill(browser, "line", "300")  # why a line has no point, by keyboard
+    until(lambda: "column 300" in text_of(browser))
     keep(browser, "live")
 
-    browser.get(served.link + "/calibrate")
-    for left in (3, 2, 1, 0):
+    for _ in range(12):  # to the next page by keyboard alone
+        browser.switch_to.active_element.send_keys(Keys.TAB)
+        if browser.switch_to.active_element.text == "Calibrate":
+            break
+    browser.switch_to.active_element.send_keys(Keys.ENTER)
+    stand_offs = 5 if os.environ.get("SCOPE_WHOLE") else 3
+    until(lambda: browser.current_url.endswith("/calibrate"))
+    until(lambda: shown(browser))
+    until(lambda: "ready to take" in text_of(browser) or "marks in view" in text_of(browser))
+    click(browser, "skip")
+    until(lambda: "left out of the calibration" in text_of(browser))
+    click(browser, "take in")
+    for left in reversed(range(stand_offs)):
         click(browser, "take")
         until(lambda left=left: len(browser.execute_script(BUTTONS, "take")) == left)
-    until(lambda: text_of(browser).count("good: ") == 4)
+    until(lambda: text_of(browser).count("good: ") == stand_offs)
     click(browser, "calibrate")
     until(lambda: "the whole report" in text_of(browser))
     assert "passed: " in text_of(browser)
@@ -172,15 +220,30 @@ def test_a_person_without_hardware(served: Served, browser: Any) -> None:
 
     browser.get(served.link + "/scan")
     click(browser, "start")
+    until(lambda: browser.execute_script("return document.querySelector('img.growing[data-have]') !== null"))
+    if KEEP:
+        time.sleep(15)
+        browser.save_screenshot(str(Path(KEEP) / "scanning-wide.png"))
     until(lambda: "median sigma" in text_of(browser))
-    until(lambda: browser.execute_script("return document.querySelector('iframe.viewer') !== null"))
+    until(lambda: browser.execute_script("return document.querySelector('scope-cloud canvas') !== null"))
+    assert "outside calibration" in text_of(browser)
     keep(browser, "scan")
 
     browser.get(served.link + "/measure")
+    browser.find_element("css selector", "input[type=file]").send_keys(str(ROOT / "examples" / "bracket.stl"))
+    until(lambda: "bracket.stl" in str(browser.execute_script("return document.body.innerHTML")))
+    for label, value in zip(("x from", "x to", "y from", "y to", "z from", "z to"), BRACKET, strict=True):
+        fill(browser, label, value)
+    click(browser, "find the part")
+    until(lambda: "row 1 of the rotation" in text_of(browser))
+    assert "pose.html" in text_of(browser)
+    keep(browser, "pose")
+    for label, value in zip(("x from", "x to", "y from", "y to"), ("-64", "-16", "-24", "24"), strict=True):
+        fill(browser, label, value)
     click(browser, "check")
     until(lambda: "measured, mm" in text_of(browser))
     assert "radius" in text_of(browser) or "diameter" in text_of(browser)
-    keep(browser, "measure")
+    keep(browser, "check")
 
     browser.get(served.link + "/history")
     until(lambda: "heldout_mm" in text_of(browser))

@@ -29,7 +29,7 @@ def add_measure(console: Console) -> None:
                     region = _region(scan)
                 with ui.column().classes("w-full gap-3"):
                     _roughness(console, scan, region)
-                    _pose(console, scan)
+                    _pose(console, scan, region)
                     _check(console, scan, region)
                     with box("Answer"):
                         _answer(console)
@@ -42,7 +42,7 @@ def _region(scan: Any) -> Callable[[], str | None]:
         with ui.element("div").classes("fields"):
             fields = [
                 ui.number(name, format="%.4g").props("dense outlined clearable").classes("w-28")
-                for name in ("x from", "x to", "y from", "y to")
+                for name in ("x from", "x to", "y from", "y to", "z from", "z to")
             ]
         ui.label("Empty: the whole cloud. mm, in the cloud's frame.").classes("muted")
 
@@ -54,7 +54,7 @@ def _region(scan: Any) -> Callable[[], str | None]:
             values = [float(value) for axis in ("x", "y") for value in detail[axis][:2]]
         except (KeyError, TypeError, ValueError):
             return
-        for field, value in zip(fields, values, strict=True):
+        for field, value in zip(fields[:4], values, strict=True):
             field.set_value(round(value, 3))
 
     def load() -> None:
@@ -69,8 +69,10 @@ def _region(scan: Any) -> Callable[[], str | None]:
         values = [field.value for field in fields]
         if all(value is None for value in values):
             return None
+        if values[4:] == [None, None]:
+            values = values[:4]
         if any(value is None for value in values):
-            raise ValueError("a region needs all four numbers, or none")
+            raise ValueError("a region needs x and y from and to, and of z both or none")
         return "box:" + ",".join(f"{value:.10g}" for value in values)
 
     return region
@@ -84,8 +86,8 @@ def _roughness(console: Console, scan: Any, region: Callable[[], str | None]) ->
         ui.button("measure roughness", on_click=start).props("no-caps unelevated").mark("roughness")
 
 
-def _pose(console: Console, scan: Any) -> None:
-    with box("Pose of a part"):
+def _pose(console: Console, scan: Any, region: Callable[[], str | None]) -> None:
+    with box("Pose of a part, in the region"):
         models = (
             ui.select(console.folder.models(), label="model in the folder models")
             .props("dense outlined")
@@ -93,7 +95,7 @@ def _pose(console: Console, scan: Any) -> None:
         )
 
         def start() -> None:
-            say(lambda: console.start_pose(str(scan.value), str(models.value or "")))
+            say(lambda: console.start_pose(str(scan.value), str(models.value or ""), region=region()))
 
         async def take(event: Any) -> None:
             with refused():

@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 from calibration.errors import FileError
 from cli.main import app
 from scope.calibrating import image_places, take_missing
-from scope.session import read_calibration
 from scope.simulation import planned_session
 from tests.conftest import DESIGN
 
@@ -25,10 +24,8 @@ def test_a_virtual_camera_needs_nobody_at_the_jig(tmp_path: Path) -> None:
     told: list[str] = []
     assert take_missing(file, lambda what: pytest.fail(what), told.append)
     assert [line.split(": ")[1] for line in told] == ["good, 165 of 165 marks"] * 2
-    plan = read_calibration(file)
-    assert [(len(plane.images), len(plane.laser["laser"])) for plane in plan.planes] == [(3, 3)] * 2
     before = {path: path.read_bytes() for path in tmp_path.rglob("*.png")}
-    assert before
+    assert len(before) == 2 * (3 + 3)
     assert take_missing(file, lambda what: pytest.fail(what), lambda text: None)  # nothing is missing now
     assert {path: path.read_bytes() for path in tmp_path.rglob("*.png")} == before
 
