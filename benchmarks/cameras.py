@@ -1,25 +1,21 @@
-"""Cameras on real protocols: frames that came, frames lost, memory; and a console that is killed at random moments.
+"""Cameras on real protocols: frames that came, frames lost, memory; and the same frames by every way.
 
 python -m benchmarks.cameras gige --frames 2000      Aravis's fake GigE Vision camera on loopback
 python -m benchmarks.cameras pylon --frames 2000     pylon's emulator
-python -m benchmarks.cameras live --rate 30          a real-time camera of rendered frames while every frame is ranged
-python -m benchmarks.cameras kill --times 20         the console's process killed while it scans
+python -m benchmarks.cameras live --rate 30          a real-time camera of rendered frames while every frame is ranged, no console
+python -m benchmarks.cameras same                    the same frames by camera, replay and folder: the same cloud, bit for bit
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import hashlib
 import os
-import random
 import shutil
-import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import time
-import urllib.request
 from pathlib import Path
 
 from benchmarks.small_session import design_text, small_session
@@ -147,71 +143,32 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def started(session: Path, design: Path) -> tuple[subprocess.Popen[bytes], str, float]:
-    """Console, its address, and s until the first picture."""
-    port = free_port()
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    began = time.perf_counter()
-    command = [sys.executable, "-c", "from cli.main import main; main()", "console", "--session", str(session), "--simulate", str(design),
-               "--no-show", "--port", str(port), "-q"]  # fmt: skip
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    link = f"http://127.0.0.1:{port}"
-    while time.perf_counter() - began < 180:
-        try:
-            with urllib.request.urlopen(f"{link}/frame.jpg", timeout=10) as answer:  # noqa: S310
-                if answer.status == 200:
-                    return process, link, time.perf_counter() - began
-        except OSError:
-            time.sleep(0.05)
-    raise SystemExit("the console does not start")
+def same() -> None:
+    """SHA-256 of the clouds of one design by the simulated camera, by a replay and by a folder of its frames."""
+    from scope.scanning import ScanOptions, scan_to_file
 
-
-def kill(times: int, seed: int) -> None:
-    """Killed (SIGKILL) at random moments of a scan: what the folder holds is ranged by the command's function."""
-    from scope.scanning import run_scan
-
-    rng = random.Random(seed)
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
-        shutil.copy(small_session(home, design_text(**SLOW), name="s") / "rig.json", home)
-        first, usable, worst = [], 0, 0
-        for k in range(times):
-            session = home / f"session{k}"
-            session.mkdir()
-            shutil.copyfile(home / "rig.json", session / "rig.json")
-            process, link, seconds = started(session, home / "design.toml")
-            first.append(seconds)
-            body = json.dumps({"job": "cut"}).encode()
-            request = urllib.request.Request(f"{link}/api/v1/scan", body, {"Content-Type": "application/json"})  # noqa: S310
-            urllib.request.urlopen(request, timeout=60).close()  # noqa: S310
-            frames = session / "scans" / "cut" / "frames"
-            until = rng.randint(2, 45)
-            end, done = time.perf_counter() + 120, 0
-            while time.perf_counter() < end and len(list(frames.glob("*.png"))) < until:
-                time.sleep(0.01)
-            with urllib.request.urlopen(f"{link}/api/v1/job/cut", timeout=20) as answer:  # noqa: S310
-                done = int(json.load(answer)["done"])
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-            try:
-                found = run_scan(session / "scans" / "cut" / "capture.toml", session / "rig.json")
-            except Exception as error:  # noqa: BLE001
-                print(f"killed with {len(list(frames.glob('*.png')))} frames: {error}")
-                continue
-            usable += found.points > 0
-            worst = max(worst, done - found.frames)
-        print(f"killed {times} times while scanning: {usable} sessions usable by scope scan, at most {max(worst, 0)} frames that had been told of missing; "
-              f"first picture after {min(first):.1f} to {max(first):.1f} s; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")  # fmt: skip
+        small_session(home, design_text(**SLOW), name="s")
+        motion = '[motion]\nkind = "linear"\nmoves = "object"\ndirection = [0, 1, 0]\nstep = 0.5\nstart = -12.0\n'
+        found = {}
+        for way, source in (
+            ("simulated camera", '[camera]\ndriver = "simulated"\nid = "design.toml"\n'),
+            ("replay", '[camera]\ndriver = "replay"\nid = "s/frames"\n'),
+            ("folder", 'images = "s/frames/*.png"\n'),
+        ):
+            (home / "c.toml").write_text(f"format = 1\n{source}{motion}", encoding="utf-8")
+            scan = scan_to_file(home / "c.toml", home / "s" / "rig.json", home / "c.ply", ScanOptions())
+            found[way] = (hashlib.sha256((home / "c.ply").read_bytes()).hexdigest()[:16], scan.frames, scan.points)
+        print(f"the same frames: {len({each[0] for each in found.values()})} different cloud ({found})")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["gige", "pylon", "live", "kill"])
+    parser.add_argument("what", choices=["gige", "pylon", "live", "same"])
     parser.add_argument("--frames", type=int, default=2000)
     parser.add_argument("--rate", type=float, default=30.0)
     parser.add_argument("--size", type=int, nargs=2, default=(1280, 960))
-    parser.add_argument("--times", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     match given.what:
         case "gige":
@@ -220,8 +177,8 @@ def main() -> None:
             pylon(given.frames)
         case "live":
             live(given.rate, given.frames, tuple(given.size))
-        case "kill":
-            kill(given.times, given.seed)
+        case "same":
+            same()
 
 
 if __name__ == "__main__":

@@ -26,7 +26,6 @@ body{color:var(--text);background:var(--page);font:15px/1.5 system-ui,sans-serif
 .nicegui-content{padding:0}
 .bar{position:sticky;top:0;z-index:10;display:flex;flex-wrap:wrap;align-items:center;gap:.2rem .9rem;width:100%;padding:.5rem 1rem;border-bottom:1px solid var(--line);background:var(--page)}
 .bar b{font-size:1.05rem;letter-spacing:.03em}.bar nav{display:flex;flex-wrap:wrap;gap:.1rem}
-@media(max-width:30rem){.bar nav{gap:0}.bar a{padding:.3rem .42rem;font-size:.95rem}.state{margin-left:0;width:100%;font-size:.82rem}}
 .bar a{color:var(--text);text-decoration:none;padding:.3rem .6rem;border-radius:6px}.bar a:hover{background:var(--soft)}
 .bar a[aria-current=page]{background:var(--link);color:var(--page);font-weight:600}
 .state{margin-left:auto;color:var(--muted);font-size:.9rem}
@@ -51,6 +50,9 @@ scope-cloud{display:block;width:100%;height:min(70vh,40rem)}
 .step .what{flex:1 1 14rem;min-width:0;overflow-wrap:anywhere}
 .chips{display:flex;flex-wrap:wrap;gap:.2rem .5rem}.chip{font-size:.82rem}.chip.good{color:var(--good)}.chip.bad{color:var(--bad);font-weight:600}
 .fields{display:flex;flex-wrap:wrap;gap:.6rem .8rem;align-items:flex-start;width:100%;margin:.3rem 0}.fields>.q-btn,.fields>.q-btn-group{min-height:40px}.step .q-btn{min-width:3.6rem;min-height:34px}.q-btn-group .q-btn{padding:4px 10px}.fields>.q-checkbox{min-height:40px}
+.growing{height:15rem;object-fit:contain}.box>.told{margin-top:.5rem}.page a:not(.q-btn){color:var(--link)}
+body.body--dark .q-btn--flat,body.body--dark .q-btn--outline{color:var(--link)!important}
+@media(max-width:30rem){.bar nav{gap:0}.bar nav a{padding:.3rem .4rem;font-size:.93rem}.state{margin-left:0;width:100%;font-size:.82rem}.page{padding:.8rem .7rem 2rem}}
 """
 _LIVE = """
 <script>
