@@ -225,7 +225,7 @@ def test_a_person_without_hardware(served: Served, browser: Any) -> None:
         time.sleep(15)
         browser.save_screenshot(str(Path(KEEP) / "scanning-wide.png"))
     until(lambda: "median sigma" in text_of(browser))
-    until(lambda: browser.execute_script("return document.querySelector('scope-cloud canvas') !== null"))
+    until(lambda: browser.execute_script("return document.querySelector('scope-cloud[data-ready]') !== null"))
     assert "outside calibration" in text_of(browser)
     keep(browser, "scan")
 
@@ -246,7 +246,7 @@ def test_a_person_without_hardware(served: Served, browser: Any) -> None:
     keep(browser, "check")
 
     browser.get(served.link + "/history")
-    until(lambda: "heldout_mm" in text_of(browser))
+    until(lambda: "held out" in text_of(browser))
     assert {"calibrate", "scan", "check"} <= set(text_of(browser).replace("\t", "\n").split("\n"))
     keep(browser, "history")
 
@@ -274,7 +274,7 @@ def test_the_api_says_what_the_contract_says(served: Served) -> None:
         ("/files/scans/..%2f..%2fetc/passwd", None, {}, 400),
         ("/files/history.db", None, {}, 422),
         ("/files/scans/none/.live.toml", None, {}, 400),
-        ("/cloud/%3Cimg%20src=x%3E", None, {}, 400),
+        ("/cloud/%3Cimg%20src=x%3E.bin", None, {}, 400),
     ],
 )
 def test_what_must_not_be_answered_is_not(

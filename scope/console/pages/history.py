@@ -33,22 +33,27 @@ def add_history(console: Console) -> None:
                         _told(r),
                         r.file,
                         r.rig[:10],
-                        r.camera.removeprefix("camera ")[-40:],
+                        r.camera.removeprefix("camera ").rpartition("/")[2][-40:],
                         f"{r.who}, {r.version}",
                     )
                     for r in records[:200]
                 ]
-                table(figures(rows, ("when", "what", "", "figures", "file", "rig", "camera", "who, version")))
+                table(figures(rows, ("when", "what", "", "figures", "file", "rig", "camera", "who, version"))).classes(
+                    "left"
+                )
                 with ui.element("div").classes("fields"):
                     ui.link("all as CSV", "/history.csv")
                     ui.label("the same by: scope history --db history.db --csv history.csv").classes("muted")
 
 
+_NAMES = {"heldout_mm": "held out", "error_mm": "error", "form_mm": "form", "sigma_mm": "sigma"}
+
+
 def _told(record: Record) -> str:
-    shown = [
-        name for name in ("heldout_mm", "error_mm", "form_mm", "sigma_mm", "points", "faults") if name in record.figures
-    ]
-    return ", ".join(f"{name} {record.figures[name]:.4g}" for name in shown)
+    known = record.figures
+    parts = [f"{word} {known[name]:.4f} mm" for name, word in _NAMES.items() if name in known]
+    parts += [f"{known[name]:,.0f} {name}" for name in ("points", "faults") if name in known]
+    return ", ".join(parts)
 
 
 def _charts(records: list[Record], limits: dict[str, float]) -> None:

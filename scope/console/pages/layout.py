@@ -34,8 +34,8 @@ body{color:var(--text);background:var(--page);font:15px/1.5 system-ui,sans-serif
 @media(min-width:64rem){.two{grid-template-columns:minmax(0,1.9fr) minmax(18rem,1fr)}}
 .box{border:1px solid var(--line);border-radius:8px;padding:.8rem 1rem;width:100%;min-width:0;overflow-x:clip}
 .head{font-size:1.05rem;font-weight:650;margin:0 0 .4rem;line-height:1.3}
-.live{width:100%;height:auto;display:block;background:#10151c;border-radius:8px;min-height:8rem;cursor:crosshair}
-.live:focus-visible,.bar a:focus-visible,button:focus-visible{outline:3px solid var(--link);outline-offset:2px}
+.seen{width:100%;height:auto;display:block;background:#10151c;border-radius:8px;min-height:8rem;cursor:crosshair}
+.seen:focus-visible,.bar a:focus-visible,button:focus-visible{outline:3px solid var(--link);outline-offset:2px}
 .told{border-left:5px solid var(--line);padding:.4rem .8rem;background:var(--soft);border-radius:3px;width:100%;overflow-wrap:anywhere}
 .told.good{border-color:var(--good)}.told.warn{border-color:var(--warn)}.told.bad{border-color:var(--bad)}
 .figures{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}.figures td,.figures th{padding:.2rem .4rem;border-bottom:1px solid var(--line);text-align:right;vertical-align:top}.figures td.words,.figures th.words{text-align:left}
@@ -50,6 +50,7 @@ scope-cloud{display:block;width:100%;height:min(70vh,40rem)}
 .step .what{flex:1 1 14rem;min-width:0;overflow-wrap:anywhere}
 .chips{display:flex;flex-wrap:wrap;gap:.2rem .5rem}.chip{font-size:.82rem}.chip.good{color:var(--good)}.chip.bad{color:var(--bad);font-weight:600}
 .fields{display:flex;flex-wrap:wrap;gap:.6rem .8rem;align-items:flex-start;width:100%;margin:.3rem 0}.fields>.q-btn,.fields>.q-btn-group{min-height:40px}.step .q-btn{min-width:3.6rem;min-height:34px}.q-btn-group .q-btn{padding:4px 10px}.fields>.q-checkbox{min-height:40px}
+.q-uploader__list,.q-uploader__subtitle{display:none}.q-uploader{max-height:none}.left td,.left th{text-align:left!important}
 .growing{height:15rem;object-fit:contain}.box>.told{margin-top:.5rem}.page a:not(.q-btn){color:var(--link)}
 body.body--dark .q-btn--flat,body.body--dark .q-btn--outline{color:var(--link)!important}
 @media(max-width:30rem){.bar nav{gap:0}.bar nav a{padding:.3rem .4rem;font-size:.93rem}.state{margin-left:0;width:100%;font-size:.82rem}.page{padding:.8rem .7rem 2rem}}
@@ -124,7 +125,7 @@ EMPTY = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAA
 def live_image() -> Any:
     """The camera's image, asked for again as soon as it has come."""
     image = (
-        ui.element("img").classes("live").props(f'id="live" alt="live image of the camera" tabindex="0" src="{EMPTY}"')
+        ui.element("img").classes("seen").props(f'id="live" alt="live image of the camera" tabindex="0" src="{EMPTY}"')
     )
     ui.add_body_html(_LIVE)
     return image

@@ -47,13 +47,14 @@ def add_scan(console: Console) -> None:
                 with box("Motion"):
                     _motion(console)
                 _unfinished(console)
-                with box("Lines without a point, and why"):
+                with box("Lines without a point, and why") as why:
                     rejected = table()
                 live_image()
 
         def refresh() -> None:
             counts = console.growth.rejected.most_common(8)
             rows = [(key.replace("_", " "), str(count), why_no_point(key)) for key, count in counts]
+            why.set_visibility(bool(rows))
             rejected.set_content(figures(rows, ("reason", "lines", "what it means")) if rows else "")
 
         ui.timer(0.7, refresh)
@@ -206,7 +207,7 @@ def _cloud(console: Console) -> None:
     with ui.element("div").classes("two") as growing:
         pictures = [
             ui.element("img")
-            .classes("live growing")
+            .classes("seen growing")
             .props(f'alt="the cloud so far, {side}" data-side="{side}" src="{EMPTY}"')
             for side in ("top", "side")
         ]
@@ -236,6 +237,8 @@ def _cloud(console: Console) -> None:
             state.classes(replace="told bad")
         elif last is not None and last.kind == "scan" and last.state == "done":
             _tell(state, last.result)
+        elif name:
+            state.set_text(f"{name}: the newest scan of this session")
         viewer.clear()
         with viewer:
             if name:
