@@ -257,7 +257,7 @@ def kill(times: int, seed: int) -> None:
                 worst = max(worst, lost)
                 print(f"{k + 1}: {cause}, {phase}: {lost} frames lost; {load()}", flush=True)
             except Exception as error:  # noqa: BLE001  (a session that cannot be used is what is counted)
-                print(f"{k + 1}: {cause}, {phase}: NOT USABLE: {type(error).__name__}: {error}", flush=True)
+                print(f"{k + 1}: {cause}, {phase}: NOT USABLE: {type(error).__name__}: {str(error)[:300]}", flush=True)
             finally:
                 broken.close()
         print(
@@ -295,9 +295,9 @@ def _scan_used(broken: Broken, told: int, design: Path) -> int:
     found = run_scan(place / "capture.toml", broken.session / "rig.json")
     numbers = sorted(int(path.stem) for path in (place / "frames").glob("*.png"))
     if numbers != list(range(len(numbers))) or found.frames != len(numbers):
-        raise SystemExit(f"frames {numbers}, {found.frames} ranged")
+        raise RuntimeError(f"frames {numbers}, {found.frames} ranged")
     if (place / "cloud.ply").is_file() and not len(ScanCloud.load(place / "cloud.ply")):
-        raise SystemExit("an empty cloud")
+        raise RuntimeError("an empty cloud")
     return max(0, told - found.frames)
 
 
@@ -311,12 +311,12 @@ def _taken(broken: Broken, process: subprocess.Popen[bytes], link: str, cause: s
     browser.get(link + "/calibrate")
     done = broken.rng.randint(0, 2)
     for k in range(done + 1):
-        end = time.monotonic() + 120
+        end = time.monotonic() + 300
         while len(browser.execute_script(BUTTONS, "take")) != 3 - k:
             if time.monotonic() > end:
-                raise SystemExit("no button")
+                raise RuntimeError(f"no button: {browser.execute_script('return document.body.innerText')[:300]}")
             time.sleep(0.1)
-        browser.execute_script(BUTTONS, "take")[0].click()
+        browser.execute_script(f"{BUTTONS}[0].click()", "take")
     time.sleep(broken.rng.uniform(0.0, 4.0))
     broken.strike(cause, process)
     if cause == "browser closed":
@@ -337,7 +337,7 @@ def _steps_used(broken: Broken, told: int, design: Path) -> int:
     for plane in tomllib.loads((broken.session / "calibration.toml").read_text(encoding="utf-8"))["plane"]:
         counts = [len(list(broken.session.glob(plane[key]))) for key in ("images", "laser")]
         if any(count not in (0, 3) for count in counts):
-            raise SystemExit(f"{plane['name']}: {counts} images, neither none nor all")
+            raise RuntimeError(f"{plane['name']}: {counts} images, neither none nor all")
         whole += counts == [3, 3]
     file = broken.session / "calibration.toml"
     file.write_text(
@@ -345,7 +345,7 @@ def _steps_used(broken: Broken, told: int, design: Path) -> int:
     )
     take_missing(file, lambda _: True, lambda _: None)
     if not calibrate(file).passed:
-        raise SystemExit("does not pass")
+        raise RuntimeError("does not pass")
     return max(0, told - whole)
 
 

@@ -15,12 +15,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.small_session import DESIGN
 
 ROOT = Path(__file__).resolve().parents[2]
 CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
+BALL = ("-64", "-16", "-24", "24", "400", "448")
 BRACKET = ("-125", "-78", "-22", "22", "400", "449")  # mm, about the bracket of the design
 KEEP = os.environ.get("SCOPE_SCREENSHOTS")  # folder for pictures of every page
 WITHOUT = "is not installed; run: .venv/bin/python -m pip install -e '.[console,browser]' (make test does)"
@@ -80,13 +82,13 @@ class Served:
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """A console on examples/window-design.toml: whole with SCOPE_WHOLE=1, else with fewer stand-offs and every fourth frame."""
+    """A console on examples/window-design.toml: whole with SCOPE_WHOLE=1, else with fewer stand-offs and every second frame."""
     home = tmp_path_factory.mktemp("console")
     design = home / "window-design.toml"
     text = (ROOT / "examples" / "window-design.toml").read_text(encoding="utf-8")
     if not os.environ.get("SCOPE_WHOLE"):
         for whole, less in (
-            ("[340, 375, 410, 445, 480]", "[340, 410, 480]"), ("step = 0.5", "step = 2.0"), ("frames = 110", "frames = 28")
+            ("[340, 375, 410, 445, 480]", "[340, 410, 480]"), ("step = 0.5", "step = 1.0"), ("frames = 110", "frames = 55")
         ):  # fmt: skip
             assert whole in text
             text = text.replace(whole, less)
@@ -161,6 +163,14 @@ VIEWS = (
 )
 
 
+def picture(browser: Any, name: str) -> None:
+    """Keep what is on the screen as a small WebP."""
+    import cv2
+
+    image = cv2.imdecode(np.frombuffer(browser.get_screenshot_as_png(), np.uint8), cv2.IMREAD_COLOR)
+    cv2.imwrite(str(Path(KEEP or ".") / f"console-{name}.webp"), image, [cv2.IMWRITE_WEBP_QUALITY, 80])
+
+
 def keep(browser: Any, name: str) -> None:
     """Wide and light, narrow and dark: nothing may run out of the page, nothing may have failed in it. Pictures where asked for."""
     for view, width, height, dark in VIEWS if KEEP else VIEWS[:2]:
@@ -175,7 +185,7 @@ def keep(browser: Any, name: str) -> None:
         until(lambda width=width: browser.execute_script(FITS, width), seconds=15)
         if KEEP:
             time.sleep(2.0)
-            browser.save_screenshot(str(Path(KEEP) / f"{name}-{view}.png"))
+            picture(browser, f"{name}-{view}")
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
@@ -223,7 +233,7 @@ def test_a_person_without_hardware(served: Served, browser: Any) -> None:
     until(lambda: browser.execute_script("return document.querySelector('img.growing[data-have]') !== null"))
     if KEEP:
         time.sleep(15)
-        browser.save_screenshot(str(Path(KEEP) / "scanning-wide.png"))
+        picture(browser, "scanning-wide")
     until(lambda: "median sigma" in text_of(browser))
     until(lambda: browser.execute_script("return document.querySelector('scope-cloud[data-ready]') !== null"))
     assert "outside calibration" in text_of(browser)
@@ -238,7 +248,7 @@ def test_a_person_without_hardware(served: Served, browser: Any) -> None:
     until(lambda: "row 1 of the rotation" in text_of(browser))
     assert "pose.html" in text_of(browser)
     keep(browser, "pose")
-    for label, value in zip(("x from", "x to", "y from", "y to"), ("-64", "-16", "-24", "24"), strict=True):
+    for label, value in zip(("x from", "x to", "y from", "y to", "z from", "z to"), BALL, strict=True):
         fill(browser, label, value)
     click(browser, "check")
     until(lambda: "measured, mm" in text_of(browser))

@@ -218,7 +218,7 @@ def _cloud(console: Console) -> None:
         growth, job = console.growth, console.jobs.running
         scanning = job is not None and job.kind == "scan"
         progress.set_visibility(scanning)
-        growing.set_visibility(scanning)
+        growing.set_visibility(scanning and growth.points > 0)
         if job is not None and scanning:
             progress.set_value(job.done / job.total if job.total else 0.0)
             for picture in pictures:
