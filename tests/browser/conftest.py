@@ -21,9 +21,12 @@ WORDS = (
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
-    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+    webdriver = pytest.importorskip(
+        "selenium.webdriver",
+        reason="no selenium; run: .venv/bin/python -m pip install -e '.[browser]' (make test does)",
+    )
     if CHROMIUM is None or DRIVER is None:
-        pytest.skip("chromium and chromium-driver are not installed")
+        pytest.skip("no browser; run: sudo apt-get install -y chromium chromium-driver (make test does, where it may)")
     options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM
     for word in WORDS:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -21,13 +20,11 @@ import pytest
 from benchmarks.small_session import DESIGN
 
 ROOT = Path(__file__).resolve().parents[2]
-CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
 BALL = ("-64", "-16", "-24", "24", "400", "448")
 BRACKET = ("-125", "-78", "-22", "22", "400", "449")  # mm, about the bracket of the design
 KEEP = os.environ.get("SCOPE_SCREENSHOTS")  # folder for pictures of every page
 WITHOUT = "is not installed; run: .venv/bin/python -m pip install -e '.[console,browser]' (make test does)"
 pytest.importorskip("nicegui", reason=f"nicegui {WITHOUT}")
-webdriver = pytest.importorskip("selenium.webdriver", reason=f"selenium {WITHOUT}")
 
 
 class Served:
@@ -99,23 +96,8 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    if CHROMIUM is None or DRIVER is None:
-        pytest.skip("no browser; run: sudo apt-get install -y chromium chromium-driver (make test does, where it may)")
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for word in (
-        "--headless=new",
-        "--no-sandbox",
-        "--use-gl=angle",
-        "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader",
-        "--window-size=1280,900",
-    ):
-        options.add_argument(word)
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    yield driver
-    driver.quit()
+def browser(chromium: Any) -> Any:
+    return chromium
 
 
 FITS = "return document.documentElement.scrollWidth <= arguments[0]"
@@ -138,8 +120,8 @@ def until(what: Callable[[], Any], *, seconds: float = 180.0) -> Any:
 
 
 def click(browser: Any, text: str) -> None:
-    until(lambda: browser.execute_script(BUTTONS, text), seconds=60)
-    until(lambda: browser.execute_script(BUTTONS, text)[0].click() is None, seconds=30)
+    until(lambda: browser.execute_script(BUTTONS, text))
+    until(lambda: browser.execute_script(BUTTONS, text)[0].click() is None)
 
 
 def text_of(browser: Any) -> str:
@@ -150,7 +132,7 @@ def fill(browser: Any, label: str, value: str) -> None:
     """Type into the field of a label, as from a keyboard."""
     from selenium.webdriver.common.keys import Keys
 
-    field = until(lambda: browser.find_element("css selector", f"input[aria-label='{label}']"), seconds=20)
+    field = until(lambda: browser.find_element("css selector", f"input[aria-label='{label}']"))
     field.send_keys(Keys.CONTROL, "a")
     field.send_keys(value, Keys.TAB)
 

@@ -257,7 +257,7 @@ def test_frame_ids_wrap_around_and_count_what_is_missing() -> None:
 def fake_gige() -> Iterator[subprocess.Popen[bytes]]:
     """Aravis's fake GigE Vision camera on loopback."""
     if FAKE is None:
-        pytest.skip("Debian's aravis-tools are not installed")
+        pytest.skip("no fake GigE camera; run: sudo apt-get install -y aravis-tools (make test does, where it may)")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(("127.0.0.1", 3956))  # GigE Vision's control port
@@ -301,7 +301,9 @@ def test_a_camera_that_is_not_there() -> None:
 
 
 def test_pylons_emulator_is_listed_and_gives_frames() -> None:
-    pytest.importorskip("pypylon", reason="the extra 'basler' is not installed")
+    pytest.importorskip(
+        "pypylon", reason="no pypylon; run: .venv/bin/python -m pip install -e '.[basler]' (make test does)"
+    )
     code = (
         "import json; from scope.cameras import *; from scope.session import CameraSettings;"
         "camera = open_camera(CameraSettings('basler', exposure_us=2000.0, rate=60.0)); camera.start();"

@@ -10,6 +10,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +18,13 @@ import pytest
 from benchmarks.small_session import DESIGN
 from calibration.errors import FileError
 from calibration.reason import Reason
+from scope.cameras import SimulatedCamera
 from scope.console.console import Console
 from scope.console.folder import SessionFolder, toml_text
 from scope.console.jobs import Busy, Jobs
 from scope.console.look import look_at, picture
 from scope.console.recording import Place, motion_of
+from scope.errors import CameraError
 from scope.scanning import Scanner, run_scan
 from scope.session import CameraSettings, read_image
 from scope.simulation import planned_session
@@ -193,22 +196,34 @@ def test_a_disk_that_is_full_while_images_are_taken_leaves_those_before(console:
     assert {path.name: path.read_bytes() for path in place.iterdir()} == before
 
 
-def test_a_disk_that_is_full_while_it_scans_keeps_the_frames_that_came(console: Console, session, monkeypatch) -> None:
+@pytest.mark.parametrize("cause", ["the disk is full", "the camera is gone"])
+def test_what_breaks_off_a_scan_keeps_the_frames_that_came(console: Console, session, monkeypatch, cause: str) -> None:
     wait_for_camera(console)
     console.folder.rig.write_bytes(session.rig.read_bytes())
-    write = Path.write_bytes
+    write, read = Path.write_bytes, SimulatedCamera.read
 
     def full(path: Path, data: bytes) -> int:
         if path.name.startswith(".000005"):
             raise OSError(errno.ENOSPC, "No space left on device")
         return write(path, data)
 
-    monkeypatch.setattr(Path, "write_bytes", full)
-    job = console.start_scan({}, "full")
+    def gone(camera: SimulatedCamera) -> Any:
+        shot = read(camera)
+        if shot is not None and shot.number == 5 and camera.view.moving:
+            raise CameraError("camera simulated: gave no frame for 5 s")
+        return shot
+
+    if cause == "the disk is full":
+        monkeypatch.setattr(Path, "write_bytes", full)
+    else:
+        monkeypatch.setattr(SimulatedCamera, "read", gone)
+    job = console.start_scan({}, "broken")
     console.jobs.wait(60)
     assert job.state == "done", job.message
-    assert job.result["frames"] == 5
-    assert "No space left on device" in job.result["why_incomplete"]
+    assert job.result["frames"] == len(list((console.folder.scan("broken") / "frames").iterdir())) == 5
+    assert ("No space left" if "disk" in cause else "gave no frame for 5 s; 5 frames are kept") in job.result[
+        "why_incomplete"
+    ]
 
 
 def test_a_calibration_file_that_leads_out_of_the_folder_is_refused(console: Console) -> None:
