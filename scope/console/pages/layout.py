@@ -44,7 +44,7 @@ body{color:var(--text);background:var(--page);font:15px/1.5 system-ui,sans-serif
 .lamp.good{background:var(--good);border-color:var(--good)}.lamp.taken{background:linear-gradient(90deg,var(--good) 50%,transparent 50%);border-color:var(--good)}
 .lamp.poor{background:var(--bad);border-color:var(--bad)}.lamp.skipped{border-style:dashed}
 .muted{color:var(--muted);font-size:.9rem}.wide{overflow-x:auto;width:100%}
-scope-cloud{display:block;width:100%;height:min(70vh,40rem)}
+scope-cloud{display:block;width:100%}.left .figures{min-width:52rem}
 .viewer{width:100%;height:min(70vh,40rem);border:1px solid var(--line);border-radius:8px;background:#10151c}
 .step{display:flex;flex-wrap:wrap;gap:.4rem .8rem;align-items:center;width:100%;padding:.5rem 0;border-bottom:1px solid var(--line)}
 .step .what{flex:1 1 14rem;min-width:0;overflow-wrap:anywhere}
