@@ -149,7 +149,7 @@ def same() -> None:
 
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
-        small_session(home, design_text(**SLOW), name="s")
+        small_session(home, design_text(**SLOW), seed=0, name="s")
         motion = '[motion]\nkind = "linear"\nmoves = "object"\ndirection = [0, 1, 0]\nstep = 0.5\nstart = -12.0\n'
         found = {}
         for way, source in (

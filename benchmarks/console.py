@@ -29,7 +29,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from benchmarks.cameras import DESIGN, ROOT, free_port
+from benchmarks.cameras import ROOT, SLOW, free_port
+from benchmarks.small_session import design_text
 
 # The console with a camera that may be unplugged (a file `gone` beside the session), or that exposes by the clock.
 GONE = """
@@ -128,8 +129,7 @@ def chromium() -> Iterator[Any]:
 
 def designed(home: Path, columns: int, rows: int) -> Path:
     """The benchmark's rig in a file."""
-    text = DESIGN.format(columns=columns, rows=rows, focal=700.0 * columns / 640.0, cx=columns / 2, cy=rows / 2)
-    (home / "design.toml").write_text(text, encoding="utf-8")
+    (home / "design.toml").write_text(design_text(size=(columns, rows), **SLOW), encoding="utf-8")
     return home / "design.toml"
 
 
@@ -312,7 +312,7 @@ def _taken(broken: Broken, process: subprocess.Popen[bytes], link: str, cause: s
     done = broken.rng.randint(0, 2)
     for k in range(done + 1):
         end, again = time.monotonic() + 300, 0.0
-        while len(browser.execute_script(BUTTONS, "take")) != 3 - k:
+        while len(browser.execute_script(BUTTONS, "take")) != 4 - k:
             if k and time.monotonic() > again:  # a click before the page's socket is open goes nowhere
                 browser.execute_script(f"{BUTTONS}[0].click()", "take")
                 again = time.monotonic() + 30.0
