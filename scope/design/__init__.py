@@ -9,13 +9,15 @@ Read: run, spots, stripe, planned, prediction, visibility, expected, troubles, t
 from scope.design.prediction import Surface
 from scope.design.run import DesignResult, design_rig
 from scope.design.tolerance import Drawn, draw_figures, one_draw
+from scope.design.visibility import HiddenMap
 from scope.design.want import Proposal, Wanted, parse_want, propose
-from scope.design.wording import design_text, draws_text, expected_rows, proposal_text
+from scope.design.wording import design_text, draws_text, expected_rows, figure_name, length, proposal_text
 from scope.design.written import write_design
 
 __all__ = [
     "DesignResult",
     "Drawn",
+    "HiddenMap",
     "Proposal",
     "Surface",
     "Wanted",
@@ -24,6 +26,8 @@ __all__ = [
     "draw_figures",
     "draws_text",
     "expected_rows",
+    "figure_name",
+    "length",
     "one_draw",
     "parse_want",
     "proposal_text",

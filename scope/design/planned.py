@@ -158,16 +158,19 @@ def _with_sheet(
     height = base.distance(flat)[:, None] + side[:, None] * np.concatenate(off)
     drawn = spread[:, None] * rng.standard_normal((len(flat), _DRAWS))
     height[:, 1:] += drawn
-    root = np.sqrt(_robust(terms, height[:, 0], np.nan_to_num(np.concatenate(noise), posinf=1.0), rng))[:, None]
+    line = np.nan_to_num(np.concatenate(noise), posinf=1.0)
+    # as the sheet is fitted: by the stripes' noise about its median, and by how many lines a place stands for
+    balance = 1.0 / (np.clip(line / np.median(line), 0.5, 3.0) * np.concatenate(weight)) ** 2
+    root = np.sqrt(balance * _robust(terms, height[:, 0], line, balance, rng))[:, None]
     sheet = np.linalg.lstsq(terms * root, height * root, rcond=None)[0]
     return PlannedCalibration(rig, field, wrong, volume, base, frame, np.asarray(sheet), order)
 
 
-def _robust(terms: Array, height: Array, noise: Array, rng: np.random.Generator) -> Array:
+def _robust(terms: Array, height: Array, noise: Array, balance: Array, rng: np.random.Generator) -> Array:
     """Tukey's weights (n,) that the fit of the sheet will end with: a misplaced plane's stripe is left out by it."""
     weight, line = np.ones(len(height)), noise * rng.standard_normal(len(height))
     for _ in range(20):
-        root = np.sqrt(weight)
+        root = np.sqrt(balance * weight)
         off = height - terms @ np.linalg.lstsq(terms * root[:, None], height * root, rcond=None)[0]
         scale = max(1.4826 * float(np.median(np.abs(off + line))), 1e-9)
         weight = np.where(np.abs(off) < TUKEY * scale, (1.0 - (off / (TUKEY * scale)) ** 2) ** 2, 1e-9)

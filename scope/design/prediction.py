@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration.errors import CalibrationError
 from calibration.geometry import Array, Bools
+from calibration.volume import Volume
 from scope.design.planned import PlannedCalibration
 from scope.design.stripe import StripeLook, look
 from scope.simulation import VirtualRig, project
@@ -34,6 +35,11 @@ class WorkingMap:
     across: Array  # (A,) mm, x in C where the stripe runs along rows, y where along columns
     axis: str  # "x" or "y"
     prediction: Prediction  # of D * A points, row by row
+    volume: Volume  # that is calibrated
+
+    def holds(self, rig: VirtualRig, points: Array) -> Bools:
+        """Whether points (N, 3) of the sheet are in the image, in the fan and within the calibrated volume."""
+        return in_view(rig, self.volume, points, project(rig.camera, points))
 
     def grid(self, values: Array) -> Array:
         """Values (N,) as (D, A), NaN outside the volume."""
@@ -60,12 +66,18 @@ def predict(rig: VirtualRig, planned: PlannedCalibration, points: Array, surface
     seen = look(
         rig, points, surface.normal, albedo=surface.albedo, dark_images=0 if motion is None else motion.off_images
     )
-    columns, rows = rig.camera.size
+    inside = in_view(rig, planned.volume, points, seen.pixels)
     with np.errstate(invalid="ignore"):
-        inside = (seen.pixels > 2).all(axis=1) & (seen.pixels < [columns - 3, rows - 3]).all(axis=1)
-        inside &= planned.volume.contains(points) & _in_fan(rig, points)
         angle = np.arcsin(np.clip(np.abs(np.einsum("ni,ni->n", seen.normal, seen.view)), 0.0, 1.0))
     return Prediction(points, seen, planned.sigma_at(points), angle, inside)
+
+
+def in_view(rig: VirtualRig, volume: Volume, points: Array, pixels: Array) -> Bools:
+    """Whether points (N, 3) of the sheet, seen at pixels (N, 2), are in the image, in the fan and within the volume."""
+    columns, rows = rig.camera.size
+    with np.errstate(invalid="ignore"):
+        shown = (pixels > 2).all(axis=1) & (pixels < [columns - 3, rows - 3]).all(axis=1)
+        return np.asarray(shown & volume.contains(points) & _in_fan(rig, points))
 
 
 def working_map(rig: VirtualRig, planned: PlannedCalibration, surface: Surface) -> WorkingMap:
@@ -93,7 +105,7 @@ def working_map(rig: VirtualRig, planned: PlannedCalibration, surface: Surface) 
         )
     across = np.linspace(fine[kept, column].min(), fine[kept, column].max(), _ACROSS)
     points = np.concatenate([_at(line, across, column) for line in lines])
-    return WorkingMap(depth, across, "xy"[column], predict(rig, planned, points, surface))
+    return WorkingMap(depth, across, "xy"[column], predict(rig, planned, points, surface), planned.volume)
 
 
 def _at(line: Array, across: Array, column: int) -> Array:
@@ -109,31 +121,29 @@ def _in_fan(rig: VirtualRig, points: Array) -> Bools:
     return np.asarray(np.abs(angle) < rig.laser.half_fan)
 
 
-def onto_sheet(rig: VirtualRig, point: Array) -> tuple[Array, float]:
-    """Where a point meets the sheet, mm in C, and by how much the motion moves it for that (mm or degrees; NaN: none does).
+def onto_sheet(rig: VirtualRig, points: Array) -> tuple[Array, Array]:
+    """Where points (N, 3) mm meet the sheet, in C, and by how much (N,) the motion moves them for that (mm; NaN: it does not).
 
-    A linear motion carries the point along; without one, the nearest point of the sheet at the same depth is taken.
+    A linear motion carries a point along; without one, the nearest point of the sheet at the same depth is taken.
     """
     motion = rig.design.motion
-    if abs(float(rig.laser.reach(point[None])[1][0])) < 1e-6:
-        return point, 0.0
     if motion is not None and motion.kind == "linear" and motion.direction is not None:
         along = np.array(motion.direction) / np.linalg.norm(motion.direction)
-        way = float(np.linalg.norm(along)) * (1.0 if motion.moves == "object" else -1.0)
-        along = along * way
+        along = np.broadcast_to(along if motion.moves == "object" else -along, points.shape)
+        way = 1.0
     else:
-        normal = rig.laser.sheet_normal(point[None])[0] * [1.0, 1.0, 0.0]
-        if np.linalg.norm(normal) < 1e-6:
-            return point, float("nan")
-        along, way = normal / np.linalg.norm(normal), float("nan")
-    travel = 0.0
+        along, way = rig.laser.sheet_normal(points) * [1.0, 1.0, 0.0], np.nan
+        along = along / np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
+    travel = np.zeros(len(points))
     for _ in range(20):
-        here = point + travel * along
-        off = float(rig.laser.reach(here[None])[1][0])
-        steep = float(rig.laser.sheet_normal(here[None])[0] @ along)
-        if not abs(steep) > 1e-6:
-            return point, float("nan")
-        travel -= off / steep
-        if abs(off) < 1e-9:
+        here = points + travel[:, None] * along
+        off = rig.laser.reach(here)[1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            steep = np.einsum("ni,ni->n", rig.laser.sheet_normal(here), along)
+            travel = np.where(np.abs(steep) > 1e-6, travel - off / steep, np.nan)
+        if np.nanmax(np.abs(off), initial=0.0) < 1e-9:
             break
-    return point + travel * along, travel * way if np.isfinite(way) else float("nan")
+    never = ~np.isfinite(travel)
+    met = points + np.where(never, 0.0, travel)[:, None] * along
+    moved = np.where(np.abs(np.nan_to_num(travel)) < 1e-6, 0.0, travel * way)  # on the sheet as it is
+    return met, np.where(never, np.nan, moved)

@@ -15,7 +15,7 @@ from scope.design.planned import PlannedCalibration, plan_calibration
 from scope.design.prediction import Prediction, Surface, WorkingMap, onto_sheet, predict, working_map
 from scope.design.spots import PlannedPlane, plan_planes
 from scope.design.troubles import troubles
-from scope.design.visibility import unobstructed
+from scope.design.visibility import HiddenMap, hidden_map, unobstructed
 from scope.simulation import RigDesign, VirtualRig, read_design
 
 
@@ -30,6 +30,7 @@ class DesignResult:
     area: WorkingMap
     expected: dict[str, Any]
     troubles: list[str]
+    hidden: HiddenMap | None = None  # of the objects that the design has
     place: dict[str, Any] | None = None  # what is predicted at a place that was asked for
 
     @property
@@ -56,6 +57,7 @@ class DesignResult:
             "planes": [_plane(plane, self.rig) for plane in self.planes],
             "expected": self.expected,
             "sheet_in_focus": _sheet_in_focus(self.rig),
+            "hidden": None if self.hidden is None else self.hidden.shares,
             "troubles": self.troubles,
             "passed": not self.troubles,
         }
@@ -107,18 +109,17 @@ def design_rig(
     except CalibrationError as error:
         raise CalibrationError(f"{name}: {error}") from error
     expected = expected_figures(rig, planned, area, surface)
-    found = DesignResult(rig, surface, planes, planned, area, expected, troubles(rig, planes, area))
-    if at is None:
-        return found
-    place = _place(rig, planned, surface, np.array(at, dtype=np.float64))
-    return DesignResult(rig, surface, planes, planned, area, expected, found.troubles, place)
+    place = None if at is None else _place(rig, planned, surface, np.array(at, dtype=np.float64))
+    said = troubles(rig, planes, area)
+    return DesignResult(rig, surface, planes, planned, area, expected, said, hidden_map(rig, area), place)
 
 
 def _place(rig: VirtualRig, planned: PlannedCalibration, surface: Surface, at: Array) -> dict[str, Any]:
-    point, travel = onto_sheet(rig, at)
-    found: Prediction = predict(rig, planned, point[None], surface)
+    points, moved = onto_sheet(rig, at[None])
+    point, travel = points[0], float(moved[0])
+    found: Prediction = predict(rig, planned, points, surface)
     seen = found.look
-    camera, laser = unobstructed(rig, point, travel)
+    camera, laser = (bool(reached[0]) for reached in unobstructed(rig, points, moved))
     on_sheet = abs(float(rig.laser.reach(point[None])[1][0])) < rig.laser.width
     return {
         "at_mm": at.tolist(),

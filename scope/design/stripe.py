@@ -94,7 +94,8 @@ def _skew(
     """Displacement (N,) mm of the middle of a profile that is not even about the middle of the sheet (docs/method.md, 11).
 
     Perspective bends the distance from the sheet (b), the sheet widens away from the laser (h), and its light falls off and
-    meets the surface at another angle (g): s^2 (g - (3 + rho q) / 2 (b / a - 2 h)) px. rho goes from 0, where photons rule
+    meets the surface at another angle (g), and the square of the blur changes (d): s^2 (g - (3 + rho q) / 2 (b / a - 2 h)) +
+    rho q d / 2 px. rho goes from 0, where photons rule
     the noise, to -3/2, where it is even. ``seen``: a, mm of distance a px; widths of laser and stripe, px; signal.
     """
     slope, width, stripe, signal = seen
@@ -110,10 +111,12 @@ def _skew(
     with np.errstate(divide="ignore", invalid="ignore"):
         dims = (light[2] - light[0]) / (2.0 * wide * light[1])
         widens = (broad[2] - broad[0]) / (2.0 * wide * broad[1])
+        blurs = (rig.blur_at(ends[2]) ** 2 - rig.blur_at(ends[0]) ** 2) / (2.0 * wide)
     even = rig.sensor.read_noise**2 + 1.0 / 12.0
     rho = -1.5 * even / (even + 0.5 * signal / rig.sensor.gain_e)
     share = width**2 / stripe**2
-    return np.asarray(width**2 * (slope * dims - (3.0 + rho * share) / 2.0 * (bend - 2.0 * slope * widens)))
+    moved = width**2 * (slope * dims - (3.0 + rho * share) / 2.0 * (bend - 2.0 * slope * widens))
+    return np.asarray(moved + slope * rho * share * blurs / 2.0)
 
 
 def position_sigma(rig: VirtualRig, amplitude: Array, width: Array, dark_images: int) -> Array:

@@ -43,6 +43,12 @@ def design_text(result: dict[str, Any]) -> str:
             f"{place['sigma_mm']:.4f} mm, calibration {place['sigma_cal_mm']:.4f} mm, stripe {place['stripe_px']:.2f} px, blur "
             f"{place['blur_px']:.2f} px"
         )
+    if result["hidden"] is not None:
+        hidden = result["hidden"]
+        lines.append(
+            f"of the objects, seen along z: {hidden['seen']:.1%} in sight of both, {hidden['laser_hidden']:.1%} without laser, "
+            f"{hidden['camera_hidden']:.1%} unseen by the camera, {hidden['both_hidden']:.1%} neither, {hidden['outside']:.1%} never on the sheet in view"
+        )
     lines += [f"- {sentence}" for sentence in result["troubles"]]
     return "\n".join(lines)
 
@@ -51,16 +57,31 @@ def expected_rows(expected: dict[str, Any]) -> list[tuple[str, str]]:
     """Name and uncertainty of each thing that may be measured."""
 
     def of(part: dict[str, float]) -> str:
-        return f"{part['sigma_mm']:.2g} mm ({part['scatter_mm']:.2g}, {part['calibration_mm']:.2g})"
+        return f"{length(part['sigma_mm'])} ({length(part['scatter_mm'])}, {length(part['calibration_mm'])})"
 
     sphere, step, rough, pose = (expected[key] for key in ("sphere", "step", "Sq", "pose"))
-    floor = f"{rough['noise_floor_mm']:.2g} mm of noise to subtract, known to {rough['sigma_mm']:.2g} mm"
+    floor = f"{length(rough['noise_floor_mm'])} of noise to subtract, known to {length(rough['sigma_mm'])}"
     return [
         (f"sphere of {sphere['diameter_mm']:g} mm, diameter", of(sphere)),
         (f"step of {step['height_mm']:g} mm", of(step)),
         (f"Sq on {rough['patch_mm']:g} x {rough['patch_mm']:g} mm", floor),
         (f"place of a cube of {pose['cube_mm']:g} mm", f"{of(pose)}, {pose['rotation_deg']:.2g} degrees"),
     ]
+
+
+def length(mm: float) -> str:
+    """A length in mm, or in um where that is shorter to read."""
+    return f"{mm * 1e3:.2g} um" if abs(mm) < 0.0095 else f"{mm:.2g} mm"
+
+
+def figure_name(key: str) -> str:
+    """What a figure of the draws is: ``sigma_mm.median`` is the median noise along the ray."""
+    names = {key: name for name, key, _ in _ROWS}
+    things = {"sphere": "sphere's diameter, mm", "step": "step, mm", "Sq": "Sq, mm", "pose": "place of a cube, mm"}
+    first, part, *_ = key.split(".")
+    if first == "expected":
+        return f"uncertainty: {things.get(part, part)}"
+    return f"{names.get(first, first)} ({'largest' if part == 'max' else part})"
 
 
 def proposal_text(proposal: dict[str, Any]) -> str:
@@ -73,11 +94,11 @@ def proposal_text(proposal: dict[str, Any]) -> str:
             f"{chosen['focal_mm']:g} mm, stand-off {chosen['stand_off_mm']:.0f} mm, baseline {chosen['baseline_mm']:.0f} mm "
             f"({chosen['angle_deg']:g} degrees), noise {chosen['sigma_mm']:.4f} mm at most"
         ),
-        f"{'lens, mm':>10}{'angle':>8}{'stand-off':>11}{'baseline':>10}{'noise, mm':>11}{'blur, px':>10}",
+        f"{'lens, mm':>10}{'angle':>8}{'stand-off':>11}{'baseline':>10}{'laser, mm':>11}{'noise, mm':>11}{'blur, px':>10}",
     ]
     for c in proposal["choices"]:
         lines.append(
-            f"{c['focal_mm']:>10g}{c['angle_deg']:>8g}{c['stand_off_mm']:>11.0f}{c['baseline_mm']:>10.0f}{c['sigma_mm']:>11.4f}"
+            f"{c['focal_mm']:>10g}{c['angle_deg']:>8g}{c['stand_off_mm']:>11.0f}{c['baseline_mm']:>10.0f}{c['laser_width_mm']:>11.3f}{c['sigma_mm']:>11.4f}"
             f"{c['blur_px']:>10.2f}"
         )
     return "\n".join(lines)
@@ -87,8 +108,8 @@ def draws_text(drawn: dict[str, Any]) -> str:
     """What tolerances do to each figure."""
     lines = [
         f"{drawn['draws']} rigs drawn: {drawn['failed']} cannot be calibrated, {drawn['troubled']} have something that will not work",
-        f"{'':32}{'5 %':>12}{'median':>12}{'95 %':>12}",
+        f"{'':42}{'5 %':>12}{'median':>12}{'95 %':>12}",
     ]
     for name, part in drawn["figures"].items():
-        lines.append(f"{name:32}{part['p5']:>12.4g}{part['p50']:>12.4g}{part['p95']:>12.4g}")
+        lines.append(f"{figure_name(name):42}{part['p5']:>12.4g}{part['p50']:>12.4g}{part['p95']:>12.4g}")
     return "\n".join(lines)

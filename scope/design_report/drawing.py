@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 
 from calibration.geometry import Array
-from scope.design import DesignResult
+from scope.design import DesignResult, HiddenMap
 from scope.report import colour_bgr
 from scope.simulation import VirtualRig, exact_rays
 
-_INK, _LASER, _SEEN, _JIG = "#1c2430", "#c0342c", "#1f5fa8", "#8793a3"
+_INK, _LASER, _SEEN, _JIG = "currentColor", "#d0443b", "#3b7fd0", "#8793a3"
+_STATES = (("seen by both", "#2f9e77"), ("laser does not reach it", "#d0443b"), ("camera does not see it", "#3b7fd0"), ("neither", "#6b4fa0"), ("never on the sheet in view", "#a7afba"))  # fmt: skip
 
 
 def rig_svg(found: DesignResult, axes: tuple[int, int]) -> str:
@@ -55,14 +56,14 @@ def rig_svg(found: DesignResult, axes: tuple[int, int]) -> str:
         near = (
             name == "laser" and float(np.hypot(*(place[list(axes)] * scale))) < 60.0
         )  # behind the camera in this view
-        parts.append(
-            f'<text x="{x + 8:.1f}" y="{y + (18 if near else -8):.1f}" style="fill:{colour.replace(_LASER, "var(--c1)").replace(_SEEN, "var(--c0)")}">{name}</text>'
-        )
-    for pose, name in zip(rig.stated, rig.design.jig.names, strict=True):
+        tint = colour.replace(_LASER, "var(--c1)").replace(_SEEN, "var(--c0)")
+        parts.append(f'<text x="{x + 8:.1f}" y="{y + (20 if near else -14):.1f}" style="fill:{tint}">{name}</text>')
+    last = -np.inf
+    for k, (pose, name) in enumerate(zip(rig.stated, rig.design.jig.names, strict=True)):
         x, y = (pose.apply(rig.corners).max(axis=0)[list(axes)] - low) * scale
-        parts.append(
-            f'<text x="{x:.1f}" y="{min(y + 14, height - 2):.1f}" text-anchor="middle">{html.escape(name)}</text>'
-        )
+        crowded = x - last < 8.0 * len(name)
+        last, y = x, min(y + 14, height - 14) + (12 if crowded and k % 2 else 0)
+        parts.append(f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle">{html.escape(name)}</text>')
     bar = 10.0 ** np.floor(np.log10((high[0] - low[0]) / 3))
     parts.append(
         f'<line x1="10" x2="{10 + bar * scale:.1f}" y1="{height + 14:.0f}" y2="{height + 14:.0f}" stroke="{_INK}" stroke-width="3"/>'
@@ -94,39 +95,67 @@ def _window(rig: VirtualRig, axes: tuple[int, int], low: Array, scale: float, he
 
 
 def map_svg(found: DesignResult, values: Array, label: str) -> str:
-    """A map of depth against place across, with axes in mm and a colour bar."""
-    left, top, width, height, gap = 58, 12, 300, 230, 16
+    """A map of depth against place across, with axes in mm and a colour bar; what is outside the volume is left clear."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     high = high if high > low * (1 + 1e-9) + 1e-30 else low + max(abs(low), 1e-3) * 0.1
-    picture = colour_bgr(values[::-1], low, high)
-    picture[~np.isfinite(values[::-1])] = 236
+    picture = cv2.cvtColor(colour_bgr(values[::-1], low, high), cv2.COLOR_BGR2BGRA)
+    picture[~np.isfinite(values[::-1])] = 0
     bar = colour_bgr(np.linspace(high, low, 64)[:, None], low, high)
     depth, across = found.area.depth, found.area.across
+    beside = f'<image x="{_LEFT + _WIDTH + 16}" y="{_TOP}" width="14" height="{_HEIGHT}" {_png(bar)}/>'
+    for k in range(5):
+        level = _TOP + _HEIGHT * (1 - k / 4)
+        beside += f'<text x="{_LEFT + _WIDTH + 35}" y="{level + 4:.0f}">{low + k / 4 * (high - low):.3g}</text>'
+    axes = ((found.area.axis, across), ("z", depth))
+    return _framed(picture, axes, _HEIGHT, beside, label, right=108)
+
+
+def hidden_svg(hidden: HiddenMap) -> str:
+    """A map of what camera and laser do not reach of the objects, seen along z, with its legend."""
+    picture = np.zeros((*hidden.state.shape, 4), dtype=np.uint8)
+    for k, (_, colour) in enumerate(_STATES):
+        picture[hidden.state == k] = [*bytes.fromhex(colour[1:])[::-1], 255]
+    height = int(np.clip(_WIDTH * np.ptp(hidden.down) / max(float(np.ptp(hidden.across)), 1e-9), 90, 420))
+    legend = ""
+    for k, ((name, colour), share) in enumerate(zip(_STATES, hidden.shares.values(), strict=True)):
+        y = _TOP + 6 + 17 * k
+        legend += f'<rect x="{_LEFT + _WIDTH + 16}" y="{y - 6}" width="11" height="11" fill="{colour}"/>'
+        legend += f'<text x="{_LEFT + _WIDTH + 33}" y="{y + 4}">{name}: {share:.1%}</text>'
+    return _framed(picture, (("x", hidden.across), ("y", hidden.down)), height, legend, "out of sight", right=240)
+
+
+_LEFT, _TOP, _WIDTH, _HEIGHT = 58, 12, 300, 230  # px of a map
+
+
+def _png(picture: np.typing.NDArray[np.uint8]) -> str:
+    data = base64.b64encode(cv2.imencode(".png", picture)[1].tobytes()).decode("ascii")
+    return f'preserveAspectRatio="none" style="image-rendering:pixelated" href="data:image/png;base64,{data}"'
+
+
+def _framed(
+    picture: np.typing.NDArray[np.uint8], axes: tuple[tuple[str, Array], tuple[str, Array]], height: int, beside: str, label: str,
+    *, right: int,
+) -> str:  # fmt: skip
+    """A picture in axes of mm, what stands beside it, and room for that. The first row is the far end of z, the near end of y."""
+    (across, x), (up, y) = axes
+    first, last = (y[-1], y[0]) if up == "y" else (y[0], y[-1])  # at the foot, at the top
+    size = f"{_LEFT + _WIDTH + right} {max(_TOP + height + 44, 110)}"
     parts = [
-        f'<svg viewBox="0 0 {left + width + gap + 92} {top + height + 44}" width="{left + width + gap + 92}" role="img">'
+        f'<svg viewBox="0 0 {size}" width="{size.split(maxsplit=1)[0]}" role="img"><title>{html.escape(label)}</title>',
+        f'<image x="{_LEFT}" y="{_TOP}" width="{_WIDTH}" height="{height}" {_png(picture)}/>',
+        f'<rect x="{_LEFT}" y="{_TOP}" width="{_WIDTH}" height="{height}" fill="none" stroke="#8793a3"/>',
     ]
-    for begin, wide, image in ((left, width, picture), (left + width + gap, 14, bar)):
-        data = base64.b64encode(cv2.imencode(".png", image)[1].tobytes()).decode("ascii")
-        parts.append(
-            f'<image x="{begin}" y="{top}" width="{wide}" height="{height}" preserveAspectRatio="none" '
-            f'style="image-rendering:pixelated" href="data:image/png;base64,{data}"/>'
-        )
-    parts.append(f'<rect x="{left}" y="{top}" width="{width}" height="{height}" fill="none" stroke="#8793a3"/>')
     for k in range(5):
         share = k / 4
-        x, level = left + share * width, top + height - share * height
+        place, level = _LEFT + share * _WIDTH, _TOP + height * (1 - share)
         parts.append(
-            f'<text x="{x:.0f}" y="{top + height + 15}" text-anchor="middle">{across[0] + share * np.ptp(across):.0f}</text>'
+            f'<text x="{place:.0f}" y="{_TOP + height + 15}" text-anchor="middle">{x[0] + share * (x[-1] - x[0]):.0f}</text>'
+            f'<text x="{_LEFT - 6}" y="{level + 4:.0f}" text-anchor="end">{first + share * (last - first):.0f}</text>'
         )
-        parts.append(
-            f'<text x="{left - 6}" y="{level + 4:.0f}" text-anchor="end">{depth[0] + share * np.ptp(depth):.0f}</text>'
-        )
-        parts.append(f'<text x="{left + width + gap + 19}" y="{level + 4:.0f}">{low + share * (high - low):.3g}</text>')
-    middle = top + height / 2
+    middle = _TOP + height / 2
     parts.append(
-        f'<text x="{left + width / 2}" y="{top + height + 34}" text-anchor="middle">{found.area.axis}, mm</text>'
+        f'<text x="{_LEFT + _WIDTH / 2}" y="{_TOP + height + 34}" text-anchor="middle">{across}, mm</text>'
+        f'<text x="14" y="{middle}" text-anchor="middle" transform="rotate(-90 14 {middle})">{up}, mm</text>'
     )
-    parts.append(f'<text x="14" y="{middle}" text-anchor="middle" transform="rotate(-90 14 {middle})">z, mm</text>')
-    parts.append(f"<title>{html.escape(label)}</title></svg>")
-    return "".join(parts)
+    return "".join([*parts, beside, "</svg>"])

@@ -113,7 +113,7 @@ def test_an_impossible_brief_gets_the_nearest_rig():
 def test_the_page_draws_the_rig_and_its_maps():
     found = design_rig(plain(laser=LaserDesign((0.0, -20.0, 0.0), (0.0, 0.0, 400.0), width=0.4)))
     page = design_page(found, "a <b>", proposal=propose(plain(), BRIEF))
-    assert page.count("<svg") == 8
+    assert page.count("<svg") == 9
     assert "a &lt;b&gt;" in page
     assert "triangulation angle is" in page
     assert "What each lens would cost" in page

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 from typer.testing import CliRunner
 
 from benchmarks.design import judge, random_design
@@ -17,8 +18,10 @@ from ranging.stripe import StripeOptions, extract
 from scope.design import Surface, design_rig
 from scope.design.spots import plan_planes
 from scope.design.stripe import look
+from scope.design_report import design_page
 from scope.simulation import RigDesign, VirtualRig
-from scope.simulation.rig_design import BoxDesign, CameraDesign, JigDesign, LaserDesign, MotionDesign
+from scope.simulation.rendering import render_stripe
+from scope.simulation.rig_design import BoxDesign, CameraDesign, JigDesign, LaserDesign, MotionDesign, PlaneDesign
 
 FOCAL, STAND_OFF, BASE = 900.0, 400.0, 150.0
 
@@ -64,6 +67,35 @@ def test_the_noise_of_a_stripe_is_the_scatter_of_rendered_ones(speckle):
     scatter = np.sqrt(np.mean((found[:, lines] - truth.position[lines]) ** 2))
     expected = look(rig, truth.points[lines], np.array([0.0, 0.0, -1.0]), albedo=1.0).sigma_px
     assert np.sqrt(np.mean(expected**2)) / scatter == pytest.approx(1.0, abs=0.06 if not speckle else 0.15)
+
+
+def test_a_fit_with_even_weights_is_displaced_by_skewed_light_and_changing_blur():
+    from scipy.optimize import least_squares
+
+    camera = CameraDesign(
+        (640, 480), FOCAL, (319.5, 239.5), blur_px=0.5, pixel_um=12.0, focal_mm=FOCAL * 0.012 * STAND_OFF / (STAND_OFF + FOCAL * 0.012), focus=STAND_OFF, f_number=2.0, tilt=(0.0, 5.0),
+        read_noise=500.0,
+    )  # fmt: skip
+    laser = LaserDesign((-BASE, 0.0, 0.0), (0.0, 0.0, STAND_OFF), roll=2.0, waist=0.2, waist_at=420.0, divergence=5.0)
+    rig = VirtualRig.of(plain(camera=camera, laser=laser))
+    blank = rig.blank(0)
+    truth, light = rig.truth_of(blank), render_stripe(rig.camera, rig.laser, blank, blur_px=rig.blur_at)
+    lines, moved = np.arange(90, 390, 15), []
+    for line in lines:
+        start = truth.position[line]
+        x = np.arange(int(start) - 12, int(start) + 13)
+        profile = light[line, x]
+
+        def off(p, x=x, profile=profile):
+            half = 0.5 / p[2]
+            return p[0] * (ndtr((x - p[1]) / p[2] + half) - ndtr((x - p[1]) / p[2] - half)) - profile
+
+        moved.append(least_squares(off, (profile.sum(), start, 1.5), xtol=1e-12).x[1] - start)
+    points = truth.points[lines]
+    seen = look(rig, points, np.array([0.0, 0.0, -1.0]), albedo=1.0)
+    a_px = rig.laser.reach(points + points[:, 2:] / FOCAL * [1.0, 0.0, 0.0])[1]
+    assert np.mean(moved) == pytest.approx(np.mean(seen.skew / a_px), rel=0.05, abs=1e-4)
+    assert abs(np.mean(moved)) > 3e-4
 
 
 @pytest.mark.parametrize("divergence", [0.0, 4.0])
@@ -138,6 +170,27 @@ def test_a_place_is_moved_onto_the_sheet_and_seen_unless_something_stands_before
     assert design_rig(design, at=(38.0, 0.0, 420.0)).result["visible"] is False  # below the block
     assert design_rig(plain(), at=(0.0, 0.0, 600.0)).result["visible"] is False  # beyond the jig
     assert design_rig(plain(), at=(0.0, 0.0, 400.0)).result["visible"] is True
+
+
+def test_the_shadow_of_a_block_is_as_long_as_the_sheet_leans():
+    motion = MotionDesign("linear", frames=161, direction=(1.0, 0.0, 0.0), step=0.5, start=-40.0)
+    floor, block = (
+        PlaneDesign(origin=(0.0, 0.0, 420.0)),
+        BoxDesign(size=(16.0, 30.0, 20.0), origin=(0.0, 0.0, 410.0)),
+    )
+    found = design_rig(plain(objects=(floor, block), motion=motion))
+    hidden = found.hidden
+    assert hidden is not None
+    row = hidden.state[np.abs(hidden.down).argmin()]  # y = 0, where light and sight run in the plane of x and z
+    step = float(np.diff(hidden.across).mean())
+    behind = (hidden.across > 8.0) & (hidden.across < 30.0)
+    lean = BASE / STAND_OFF  # the laser stands at negative x, so that the shadow falls to positive x
+    assert (np.isin(row, (1, 3)) & behind).sum() * step == pytest.approx(20.0 * lean, abs=2 * step)
+    assert not np.isin(row[(hidden.across > -30.0) & (hidden.across < -9.0)], (1, 3)).any()
+    assert found.result["hidden"]["seen"] > 0.5
+    assert sum(found.result["hidden"].values()) == pytest.approx(1.0)
+    page = design_page(found, "t")
+    assert "laser does not reach it" in page
 
 
 @pytest.mark.parametrize(
