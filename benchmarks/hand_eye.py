@@ -1,6 +1,6 @@
 """Hand and eye against OpenCV 4's calibrateHandEye and a plain least squares on OpenCV's poses.
 
-    python -m benchmarks.hand_eye [--draws 200] [--peer PYTHON] [--faults 40] [--sphere 20]
+    python -m benchmarks.hand_eye [--draws 200] [--peer PYTHON] [--faults 40] [--sphere 20] [--planes 20]
 
 ``--peer`` is a Python that has ``opencv-python-headless<5`` (OpenCV 5 has no calibrateHandEye in Python), such as that of
 ``python3 -m venv /tmp/cv4 && /tmp/cv4/bin/pip install "opencv-python-headless<5"``. Views: a board of 6 x 9 corners at 5 mm,
@@ -21,11 +21,12 @@ from scipy.spatial.transform import Rotation
 
 from calibration.geometry import Pose
 from calibration.rays import PlaneMarks
-from calibration.stages import Repeatability, consensus, solve_by_sphere, solve_hand_eye
+from calibration.stages import Repeatability, consensus, solve_by_planes, solve_by_sphere, solve_hand_eye
 from scope.hand_eye import readings_of
 from scope.hand_eye.views import seen_target
 from scope.session import PoseLog
 from tests.scope.hand_eye.arm import MATRIX, Arm, arm, marks, numbers, project, rig
+from tests.scope.hand_eye.test_planes import passes as plane_passes
 from tests.scope.hand_eye.test_sphere import SENSOR, passes
 
 STATED = Repeatability(0.03, float(np.deg2rad(0.01)))
@@ -200,16 +201,44 @@ def sphere(draws: int) -> None:
     )
 
 
+def planes(draws: int) -> None:
+    """20 stripes on one plane, and on three, against 15 views of the board; points of 0.02 mm."""
+    for count in (1, 3):
+        off, by_target, stated = [], [], []
+        for seed in range(draws):
+            rng = np.random.default_rng(40_000 + seed)
+            made, label = plane_passes(rng, "hand", count, n=20)
+            fit = solve_by_planes(made, label, "hand", repeatability=STATED)
+            off.append(error(fit.sensor, Arm(SENSOR, SENSOR, [], [])))
+            stated.append(off[-1] / np.sqrt(np.diag(fit.covariance)))
+            views = arm(rng, 15)
+            by_target.append(
+                error(solve_hand_eye(views_of(views, measured(views, rng)), "hand", repeatability=STATED).sensor, views)
+            )
+        p, t = np.array(off), np.array(by_target)
+        rms = [[float(np.sqrt((e[:, k] ** 2).sum(axis=1).mean())) for k in (slice(3, 6), slice(0, 3))] for e in (p, t)]
+        print(
+            f"by 20 passes over {count} plane(s), {draws} draws: {rms[0][0]:.4f} mm {np.rad2deg(rms[0][1]):.4f} deg, over the target's "
+            f"{rms[0][0] / rms[1][0]:.2f} (turn {rms[0][1] / rms[1][1]:.2f}); error over stated sigma {np.sqrt(np.mean(np.square(stated))):.2f}"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--faults", type=int, default=40)
     parser.add_argument("--peer", default=None)
     parser.add_argument("--sphere", type=int, default=20)
+    parser.add_argument("--planes", type=int, default=20)
     asked = parser.parse_args()
-    sphere(asked.sphere)
-    against_peers(asked.draws, asked.peer)
-    faults(asked.faults)
+    if asked.planes:
+        planes(asked.planes)
+    if asked.sphere:
+        sphere(asked.sphere)
+    if asked.draws:
+        against_peers(asked.draws, asked.peer)
+    if asked.faults:
+        faults(asked.faults)
 
 
 if __name__ == "__main__":
