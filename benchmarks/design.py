@@ -31,12 +31,7 @@ from scope.design import DesignResult, Wanted, design_rig, propose
 from scope.scanning import Scanner, scan
 from scope.session import CalibrationSession, PlaneView
 from scope.simulation import RigDesign, VirtualRig, read_design, simulate
-from scope.simulation.rig_design import (
-    CameraDesign,
-    JigDesign,
-    LaserDesign,
-    WindowDesign,
-)
+from scope.simulation.hardware_design import CameraDesign, JigDesign, LaserDesign, WindowDesign
 from scope.simulation.solids import Part, Scene, Sheet
 
 EXPOSURES, LINES = 24, 13  # of each place: repeats, and neighbouring lines that are taken together

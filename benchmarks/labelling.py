@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from calibration.errors import CalibrationError
 from calibration.targets import SpotGrid, find_spots, label_grid
 from calibration.targets.spots import Spots
+from scope.simulation.hardware_design import CameraDesign, FaultDesign, JigDesign, LaserDesign
 from scope.simulation.optics import project as exact_project
-from scope.simulation.rig_design import CameraDesign, FaultDesign, JigDesign, LaserDesign, RigDesign
+from scope.simulation.rig_design import RigDesign
 from scope.simulation.virtual_rig import VirtualRig
 
 Array = NDArray[np.float64]

@@ -23,15 +23,9 @@ import numpy as np
 from scope.calibrating import calibrate
 from scope.scanning import run_scan
 from scope.session import frames
-from scope.simulation.rig_design import (
-    CameraDesign,
-    JigDesign,
-    LaserDesign,
-    MotionDesign,
-    PlaneDesign,
-    RigDesign,
-    SphereDesign,
-)
+from scope.simulation.hardware_design import CameraDesign, JigDesign, LaserDesign
+from scope.simulation.object_design import MotionDesign, PlaneDesign, SphereDesign
+from scope.simulation.rig_design import RigDesign
 from scope.simulation.session import simulate
 
 RENDERED = 32

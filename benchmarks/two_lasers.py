@@ -17,15 +17,9 @@ import numpy as np
 
 from scope.calibrating import calibrate
 from scope.scanning import run_scan
-from scope.simulation.rig_design import (
-    CameraDesign,
-    JigDesign,
-    LaserDesign,
-    MotionDesign,
-    PlaneDesign,
-    RigDesign,
-    SphereDesign,
-)
+from scope.simulation.hardware_design import CameraDesign, JigDesign, LaserDesign
+from scope.simulation.object_design import MotionDesign, PlaneDesign, SphereDesign
+from scope.simulation.rig_design import RigDesign
 from scope.simulation.session import simulate
 
 BLEED = 0.08  # of a line's light in the other colour's pixels

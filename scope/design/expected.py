@@ -54,22 +54,30 @@ def expected_figures(
     noise = float(np.median(np.concatenate([tread.noise for tread in treads])))
     points = float(np.mean([tread.count.sum() for tread in treads]))
     scatter = float(np.sqrt(sum(level[0][0, 0] for level in levels)))
-    shared = float(rms_of(levels[1][1] - levels[0][1])[0])
+    apart = levels[1][1] - levels[0][1]
+    shared = float(rms_of(apart)[0])
     spread, moved = np.sqrt(np.diag(pose[0])), rms_of(pose[1])
     return {
-        "sphere": {"diameter_mm": 2 * SPHERE, **_two(2 * float(np.sqrt(radius[0][3, 3])), 2 * float(rms_of(radius[1])[3]))},
-        "step": {"height_mm": STEP, **_two(scatter, shared)},
+        "sphere": {"diameter_mm": 2 * SPHERE, **_two(2 * float(np.sqrt(radius[0][3, 3])), 2 * float(rms_of(radius[1])[3]), 2 * radius[1][3, 0])},
+        "step": {"height_mm": STEP, **_two(scatter, shared, apart[0, 0])},
         "Sq": {"patch_mm": PATCH, "noise_floor_mm": noise, "sigma_mm": noise / float(np.sqrt(max(points, 1.0)))},
         "pose": {
             "cube_mm": BLOCK,
-            **_two(float(np.linalg.norm(spread[:3])), float(np.linalg.norm(moved[:3]))),
+            **_two(float(np.linalg.norm(spread[:3])), float(np.linalg.norm(moved[:3])), float(np.linalg.norm(pose[1][:3, 0]))),
             "rotation_deg": float(np.degrees(np.hypot(np.linalg.norm(spread[3:]), np.linalg.norm(moved[3:])))),
         },
     }  # fmt: skip
 
 
-def _two(scatter: float, calibration: float) -> dict[str, float]:
-    return {"sigma_mm": float(np.hypot(scatter, calibration)), "scatter_mm": scatter, "calibration_mm": calibration}
+def _two(scatter: float, calibration: float, constant: float) -> dict[str, float]:
+    """``constant`` is the part of ``calibration`` that every calibration of this design has alike."""
+    total = float(np.hypot(scatter, calibration))
+    return {
+        "sigma_mm": total,
+        "scatter_mm": scatter,
+        "calibration_mm": calibration,
+        "constant_mm": abs(float(constant)),
+    }
 
 
 def _step(rig: VirtualRig, pitch: float) -> float:

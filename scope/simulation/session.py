@@ -23,17 +23,10 @@ from numpy.typing import NDArray
 
 from calibration.errors import FileError
 from calibration.geometry import Array, fit_plane
-from scope.simulation.fiducials import check_fiducials
+from scope.simulation.object_design import MeshDesign, MotionDesign, ObjectDesign, RoughDesign
+from scope.simulation.refusals import check_session
 from scope.simulation.rendering import disk_centroids
-from scope.simulation.rig_design import (
-    MeshDesign,
-    MotionDesign,
-    ObjectDesign,
-    RigDesign,
-    RoughDesign,
-    read_any_design,
-    read_design,
-)
+from scope.simulation.rig_design import RigDesign, read_any_design, read_design
 from scope.simulation.stripe_truth import TrueStripe
 from scope.simulation.virtual_rig import VirtualRig, placed, rough_field
 from scope.simulation.wild import WildScene, write_wild
@@ -111,7 +104,7 @@ def simulate(
 
     else:
         rig = VirtualRig.of(designed)
-        check_fiducials(rig)
+        check_session(rig)
 
         def write(folder: Path) -> Simulation:
             return _write(rig, folder, out, rng, on_image, threads)

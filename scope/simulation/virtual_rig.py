@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 
 from calibration.errors import FileError
 from calibration.geometry import Array, Pose
-from scope.simulation.optics import ExactCamera, ExactLaser, Window, exact_rays
-from scope.simulation.physics import Beam, Lens
-from scope.simulation.rendering import Sensor, TargetLook, expose, render_stripe, render_target, speckle
-from scope.simulation.rig_design import (
+from scope.simulation.object_design import (
     BoxDesign,
     CylinderDesign,
     MeshDesign,
     ObjectDesign,
     PlaneDesign,
-    RigDesign,
     RoughDesign,
     SphereDesign,
     StepsDesign,
 )
+from scope.simulation.optics import ExactCamera, ExactLaser, Window, exact_rays
+from scope.simulation.physics import Beam, Lens
+from scope.simulation.rendering import Sensor, TargetLook, expose, render_stripe, render_target, speckle
+from scope.simulation.rig_design import RigDesign
 from scope.simulation.solids import Box, Cylinder, HeightField, Mesh, Part, Scene, Sheet, Solid, Sphere
 from scope.simulation.stripe_truth import Along, TrueStripe, runs_along, true_stripe
 

@@ -22,7 +22,7 @@ from scope.design_report import design_page
 from scope.session import read_capture
 from scope.session.commented import FILES
 from scope.simulation import RigDesign, VirtualRig, project, read_design
-from scope.simulation.rig_design import CameraDesign, FaultDesign, JigDesign, LaserDesign, ToleranceDesign
+from scope.simulation.hardware_design import CameraDesign, FaultDesign, JigDesign, LaserDesign, ToleranceDesign
 
 BRIEF = parse_want("sigma=0.02,volume=100x60x60")
 

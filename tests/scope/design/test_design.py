@@ -20,8 +20,9 @@ from scope.design.spots import plan_planes
 from scope.design.stripe import look
 from scope.design_report import design_page
 from scope.simulation import RigDesign, VirtualRig
+from scope.simulation.hardware_design import CameraDesign, JigDesign, LaserDesign
+from scope.simulation.object_design import BoxDesign, MotionDesign, PlaneDesign
 from scope.simulation.rendering import render_stripe
-from scope.simulation.rig_design import BoxDesign, CameraDesign, JigDesign, LaserDesign, MotionDesign, PlaneDesign
 
 FOCAL, STAND_OFF, BASE = 900.0, 400.0, 150.0
 
@@ -156,6 +157,8 @@ def test_more_light_longer_baseline_and_more_spots_are_better():
     assert repeated["sigma_mm"]["median"] == pytest.approx(base["sigma_mm"]["median"])
     for name in ("sphere", "step", "pose"):
         assert repeated["expected"][name]["calibration_mm"] < base["expected"][name]["calibration_mm"]
+        part = base["expected"][name]
+        assert 0.0 < part["constant_mm"] < part["calibration_mm"] < part["sigma_mm"]
 
 
 def test_a_place_is_moved_onto_the_sheet_and_seen_unless_something_stands_before_it():

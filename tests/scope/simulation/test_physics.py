@@ -10,8 +10,9 @@ import pytest
 from calibration.errors import FileError
 from scope.design import design_rig
 from scope.simulation import VirtualRig, read_design, render_stripe
+from scope.simulation.hardware_design import CameraDesign, JigDesign, LaserDesign
 from scope.simulation.physics import Beam, Lens
-from scope.simulation.rig_design import CameraDesign, JigDesign, LaserDesign, RigDesign
+from scope.simulation.rig_design import RigDesign
 from scope.simulation.solids import Part, Scene, Sheet
 
 LENS = Lens(12.0, 2.0, 400.0, 0.005, 660e-6)

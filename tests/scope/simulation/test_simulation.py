@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 
 from calibration.errors import FileError
 from calibration.geometry import Plane, Pose, Rays
+from scope.simulation.hardware_design import CameraDesign, JigDesign, LaserDesign
 from scope.simulation.optics import ExactCamera, ExactLaser, Window, exact_rays, project
 from scope.simulation.rendering import Sensor, TargetLook, disk_centroids, expose, render_stripe, render_target, speckle
-from scope.simulation.rig_design import CameraDesign, JigDesign, LaserDesign, RigDesign, read_design
+from scope.simulation.rig_design import RigDesign, read_design
 from scope.simulation.session import simulate
 from scope.simulation.solids import Box, Cylinder, HeightField, Mesh, Part, Scene, Sheet, Sphere
 from scope.simulation.stripe_truth import position_bound, true_stripe
@@ -655,7 +656,7 @@ class TestSession:
 
 
 def _fault(**fields):
-    from scope.simulation.rig_design import FaultDesign
+    from scope.simulation.hardware_design import FaultDesign
 
     return FaultDesign(**fields)
 

@@ -13,7 +13,7 @@ from calibration.errors import CalibrationError, FileError
 from calibration.targets import SpotGrid
 from scope import simulation
 from scope.calibrating import check_plane
-from scope.simulation.rig_design import JigDesign, unlike_itself
+from scope.simulation.hardware_design import JigDesign, unlike_itself
 
 DESIGN = """
 format = 1
@@ -67,6 +67,29 @@ def test_what_is_rendered_can_be_labelled(fiducials: str, large: float, tmp_path
 def test_what_could_not_be_told_is_refused(fiducials: str, large: float, near: float, why: str, tmp_path: Path) -> None:
     with pytest.raises(FileError, match=why):
         simulated(tmp_path, fiducials, large, near)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("stand_offs = [300.0, 390.0]", "stand_offs = [300.0]", "has one plane"),
+        ("pitch = 16.0\ndiameter = 5.0\nfiducials = [[5, 7], [5, 9], [2, 7]]\nfiducial_diameter = 7.5", "pitch = 26.0\ndiameter = 5.0", "plane w300 shows [0-9]+ of 165 spots and there are no"),
+        ("diameter = 5.0\n", "diameter = 1.0\n", "spots are 1.8 px wide on plane w390"),
+        ("[jig]", "[jig]\nbright = 20.0\ndark = 90.0", "would not be found"),
+        ("[jig]", "[jig]\nbright = 900.0\ndark = 400.0", "light spots of 255 grey levels on 255"),
+        ("[laser]", "[laser]\npeak = 2.0", "more laser power"),
+        ("through = [0.0, 0.0, 340.0]", "through = [0.0, 900.0, 340.0]", "shows on 0 of 2 planes.*aim the laser"),
+        ("centre_px", "blur_px = 6.0\ncentre_px", "are blurred by 6.0 px"),
+    ],
+)  # fmt: skip
+def test_what_could_not_be_calibrated_is_refused_before_it_is_rendered(old, new, why, tmp_path):
+    text = DESIGN.format(fiducials="[[5, 7], [5, 9], [2, 7]]", large=7.5, near=300.0)
+    assert old in text
+    (tmp_path / "design.toml").write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(FileError, match=why) as refused:
+        simulation.simulate(tmp_path / "design.toml", tmp_path / "out", 1)
+    assert len(str(refused.value)) < 300
     assert not (tmp_path / "out").exists()
 
 
