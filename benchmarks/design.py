@@ -110,18 +110,18 @@ def _depths(design: RigDesign) -> tuple[float, float]:
     return low + 0.05 * (high - low), high - 0.05 * (high - low)
 
 
-def sessions(rig: VirtualRig, rng: np.random.Generator) -> list[CalibrationSession]:
+def sessions(rig: VirtualRig, rng: np.random.Generator, count: int = 0) -> list[CalibrationSession]:
     """Several sessions of one rig: the same light, other noise."""
-    jig = rig.design.jig
+    jig, count = rig.design.jig, count or CALIBRATIONS
     target = SpotGrid(jig.rows, jig.columns, jig.pitches, jig.diameter, "light", jig.fiducials, jig.fiducial_diameter)
-    lit = [rig.target_images(k, CALIBRATIONS * jig.images, rng) for k in range(len(jig.names))]
-    striped = [rig.stripe_images(rig.blank(k), CALIBRATIONS * jig.laser_images, rng) for k in range(len(jig.names))]
+    lit = [rig.target_images(k, count * jig.images, rng) for k in range(len(jig.names))]
+    striped = [rig.stripe_images(rig.blank(k), count * jig.laser_images, rng) for k in range(len(jig.names))]
     return [
         CalibrationSession(target, [
-            PlaneView(lit[k][n :: CALIBRATIONS], pose.translation, jig.rotation, laser=striped[k][n :: CALIBRATIONS])
+            PlaneView(lit[k][n::count], pose.translation, jig.rotation, laser=striped[k][n::count])
             for k, pose in enumerate(rig.stated)
         ])
-        for n in range(CALIBRATIONS)
+        for n in range(count)
     ]  # fmt: skip
 
 
