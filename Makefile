@@ -1,5 +1,6 @@
 # make demo    simulate a rig, calibrate it, scan a part with it and compare with the truth (into demo/)
-# make test    the whole test suite
+# make test    the test suite
+# make long    the tests that take half a minute each: whole ways by clicks in a browser, or command by command
 # make lint    formatting, lint, types, the law of imports
 # make check   lint, then the test suite
 # make clean   remove .venv, demo/ and everything else that git ignores and a tool can make again
@@ -10,7 +11,7 @@
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint check setup clean
+.PHONY: help demo test long lint check setup clean
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' Makefile
@@ -20,6 +21,9 @@ demo: .venv/demo.stamp
 
 test: .venv/test.stamp
 	.venv/bin/python -m pytest
+
+long: .venv/test.stamp
+	.venv/bin/python -m pytest -m long
 
 lint: .venv/test.stamp
 	sh scripts/check lint

@@ -25,8 +25,7 @@ class PointCovariance:
     """Covariance of N points, in two parts that must not be added where points are averaged.
 
     ``parameters`` is the covariance of the P parameters of the calibration: those of the camera (`Camera.covariance`), then
-    those of the lasers (`Laser.covariance`), to which the camera's
-    move a laser by its ``coupling``. Points i and k share the covariance
+    those of the lasers (`Laser.covariance`); the camera's move a laser too, by its ``coupling``. Points i and k share the covariance
     ``jacobian[i] @ parameters @ jacobian[k].T``.
     """
 

@@ -11,12 +11,22 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from benchmarks.small_session import small_session
 from calibration.geometry import Pose
 from calibration.rays import PlaneMarks
 
+settings.register_profile("no timing", deadline=None)
+settings.load_profile("no timing")
 os.environ.setdefault("SCOPE_HISTORY", "off")  # tests of records switch it on
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What needs a browser is long."""
+    for item in items:
+        if Path(__file__).parent / "browser" in item.path.parents:
+            item.add_marker(pytest.mark.long)
 
 
 @dataclass(frozen=True)

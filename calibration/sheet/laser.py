@@ -187,6 +187,8 @@ def _with_views(fit: _Fit, stripes: list[StripePoints]) -> Array:
     off = np.array(others) - np.mean(others, axis=0)
     jackknife = (len(others) - 1) / len(others) * off.T @ off
     values, vectors = np.linalg.eigh(fit.covariance)
+    if not values.max() > 0.0:  # points without error: nothing to grow
+        return fit.covariance
     root = vectors * np.sqrt(np.maximum(values, 1e-12 * values.max()))
     whitened = np.linalg.solve(root, np.linalg.solve(root, jackknife).T)
     times, directions = np.linalg.eigh(whitened)

@@ -15,6 +15,7 @@ from scope.errors import MeasurementError, MissingLibraryError
 
 DEATHS = 20  # of its workers, that a piece of work may see before it is given up
 PATIENCE = 60.0  # s, for a scheduler that restarts
+GREETING = 20.0  # s, for the first answer of a scheduler
 _WATCH = 10.0  # s between looks at whether all workers are there
 
 
@@ -46,7 +47,7 @@ def connected(jobs: int, scheduler: str) -> Iterator[tuple[Any, int]]:
     settings = {"distributed.scheduler.allowed-failures": DEATHS} | {f"distributed.admin.{name}": 100 for name in logs}
     with dask.config.set(settings), _cluster(distributed, jobs, scheduler) as address:
         try:
-            client = distributed.Client(address, timeout=20, set_as_default=False)
+            client = distributed.Client(address, timeout=GREETING, set_as_default=False)
         except (OSError, ValueError) as error:
             raise FileError(
                 f"--scheduler {scheduler}: no Dask scheduler answers there ({str(error)[:80]}); start one: dask scheduler"

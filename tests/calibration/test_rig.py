@@ -26,6 +26,7 @@ def test_a_rig_comes_back_to_the_last_bit(session, tmp_path: Path) -> None:
     assert "NaN" not in session.rig.read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_every_leaf_that_goes_wrong_is_refused_or_harmless(session, tmp_path: Path) -> None:
     """No damage to any value ends in anything but a FileError or a rig."""
     whole = json.loads(session.rig.read_text(encoding="utf-8"))

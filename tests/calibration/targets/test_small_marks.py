@@ -11,6 +11,7 @@ from calibration.targets import SpotGrid, find_spots, label_grid, measure_marks
 
 
 @pytest.mark.parametrize(("contrast", "noise"), [(10.0, 2.0), (20.0, 2.0)])
+@pytest.mark.long
 def test_faint_marks_beside_metal(contrast: float, noise: float) -> None:
     rng = np.random.default_rng([1, int(contrast)])
     pulls = []

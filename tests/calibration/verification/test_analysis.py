@@ -156,6 +156,7 @@ def check_uncertainty(stated, crossings):
     assert np.all((ratio > 0.75) & (ratio < 1.33))
 
 
+@pytest.mark.long
 def test_uncertainty_of_joint_rays_is_that_of_monte_carlo():
     fit = fit_two_plane(sparse(FOUR, 0.02), SIZE)
     (stated,) = ray_uncertainty(fit.camera, [400.0], grid=(7, 9))

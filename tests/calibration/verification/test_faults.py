@@ -204,6 +204,7 @@ def test_evidence_of_clean_sessions_is_chi_square():
     assert abs(sum(ratio) - freedom) < 3.5 * spread
 
 
+@pytest.mark.long
 def test_standard_errors_are_those_of_the_estimates():
     """Slips of one plane in 30 sessions: scatter over standard error, 60 components."""
     pulls = []

@@ -48,6 +48,7 @@ def attempts(paths: list[Path]) -> list[int]:
     ]
 
 
+@pytest.mark.long
 def test_a_day_on_workers(tmp_path: Path) -> None:
     """One fails, one is doubtful, one ends its worker: all have their rows, in order, whatever the number of workers."""
     pytest.importorskip("distributed")
@@ -92,8 +93,9 @@ def test_a_day_on_workers(tmp_path: Path) -> None:
     assert without_times(table) == first
 
 
-def test_a_scheduler_that_does_not_answer_is_told_in_a_line(tmp_path: Path) -> None:
+def test_a_scheduler_that_does_not_answer_is_told_in_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
+    monkeypatch.setattr("scope.batch.cluster.GREETING", 2.0)
     with pytest.raises(FileError, match="no Dask scheduler answers"):
         run_day(
             sources(tmp_path),
@@ -105,6 +107,7 @@ def test_a_scheduler_that_does_not_answer_is_told_in_a_line(tmp_path: Path) -> N
         )
 
 
+@pytest.mark.long
 def test_a_scheduler_that_runs_already_gives_the_same(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     paths, tables = sources(tmp_path), [tmp_path / "there.csv", tmp_path / "here.csv"]

@@ -37,6 +37,7 @@ def test_one_job_is_this_process() -> None:
     assert each(len, []) == []
 
 
+@pytest.mark.long
 def test_two_jobs_in_order_though_one_dies_and_an_error_stays_what_it_is(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     assert each(partial(squared, folder=str(tmp_path)), range(6), jobs=2) == [k * k for k in range(6)]

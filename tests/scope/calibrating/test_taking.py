@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.small_session import DESIGN
 from calibration.errors import FileError
 from cli.main import app
 from scope.calibrating import image_places, take_missing
 from scope.simulation import planned_session
-from tests.conftest import DESIGN
 
 SMALL = DESIGN.replace("[300.0, 330.0, 360.0, 390.0]", "[300.0, 330.0]")
 

@@ -272,6 +272,7 @@ def fake_gige() -> Iterator[subprocess.Popen[bytes]]:
     process.wait()
 
 
+@pytest.mark.long
 def test_a_gige_camera_gives_frames_with_numbers_and_breaks_off_in_one_line(fake_gige: subprocess.Popen[bytes]) -> None:
     settings = CameraSettings("aravis", "Aravis-Fake-SCOPE1", exposure_us=3000.0, rate=50.0, timeout_s=1.0)
     camera = open_camera(settings)

@@ -53,6 +53,7 @@ def wait_for_camera(console: Console) -> None:
     raise AssertionError(console.station.trouble)
 
 
+@pytest.mark.long
 def test_taken_calibrated_scanned_and_what_the_commands_make_of_the_same_folder(console: Console) -> None:
     """The folder is the peer: `scope calibrate` and `scope scan` on what the console left give the same."""
     from scope.calibrating import calibrate
@@ -93,6 +94,7 @@ def test_a_skipped_stand_off_is_left_out_and_the_file_that_was_used_is_kept(cons
     assert used["target"] == tomllib.loads(console.folder.calibration.read_text(encoding="utf-8"))["target"]
 
 
+@pytest.mark.long
 def test_a_stopped_scan_keeps_the_frames_that_came(console: Console, session) -> None:
     wait_for_camera(console)
     console.folder.rig.write_bytes(session.rig.read_bytes())
@@ -108,6 +110,7 @@ def test_a_stopped_scan_keeps_the_frames_that_came(console: Console, session) ->
     assert job.result["frames"] == len(kept)
 
 
+@pytest.mark.long
 def test_a_scan_that_broke_off_is_finished_or_gone_on_with(console: Console, session) -> None:
     """The peer is a scan in one piece: frames 0 to 2 kept, the camera takes the others, one cloud bit for bit."""
     wait_for_camera(console)

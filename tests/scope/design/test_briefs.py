@@ -63,6 +63,7 @@ def test_a_misplaced_plane_does_what_it_does_to_a_calibration_of_exact_marks():
     np.testing.assert_allclose(expected, along, atol=0.2 * np.abs(along).max())
 
 
+@pytest.mark.long
 def test_draws_depend_on_seed_and_number_alone_and_spread_with_the_tolerance():
     loose = plain(tolerance=ToleranceDesign(stand_off=0.05, laser_angle=0.3, light=0.2))
     drawn = draw_figures(loose, 4, seed=3)

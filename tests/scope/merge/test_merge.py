@@ -127,6 +127,7 @@ def test_two_sensors_that_disagree_are_told(scans):
     assert merge([scans[0], moved(scans[1], off)], ["a", "b"], poses=still, tolerance=0.2).passed
 
 
+@pytest.mark.long
 def test_what_does_not_hold_is_refused():
     rng = np.random.default_rng(4)
     plate = trimesh.creation.box((80, 80, 1))

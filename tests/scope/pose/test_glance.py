@@ -46,6 +46,7 @@ def test_the_part_looks_like_itself_at_a_glance(seed: int) -> None:
     assert np.delete(looks, mine).min() > looks[mine] + estimate.LIKE
 
 
+@pytest.mark.long
 def test_what_is_not_searched_changes_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     searched: list[bool] = []
     whole = estimate.locate

@@ -50,6 +50,7 @@ def refusal(cloud: ScanCloud, known: Model) -> str:
 
 
 @pytest.mark.parametrize("name", ["bracket", "plate", "casting"])
+@pytest.mark.long
 def test_eight_scans_give_no_wrong_pose_unflagged(name: str) -> None:
     """A wrong pose never passes; none is flagged but those that the truth shows to be undecidable."""
     wrong, flagged = [], []
@@ -67,6 +68,7 @@ def test_eight_scans_give_no_wrong_pose_unflagged(name: str) -> None:
     assert not flagged
 
 
+@pytest.mark.long
 def test_ambiguous_answer_carries_no_matrix_but_all_candidates() -> None:
     """A plain square block has no feature: once its top is all there is, four turns explain the scan alike."""
     block = parts.box_part(np.array([0.0, 0, 0]), np.array([80.0, 60, 12]))
@@ -122,6 +124,7 @@ def test_flat_part_is_placed_by_its_rims() -> None:
     assert 0.05 < np.sqrt(found.covariance[0, 0]) < 0.15  # not the 0.001 mm that so many points would give
 
 
+@pytest.mark.long
 def test_clutter() -> None:
     """Base plate, a clamp over the part and 2 % strays: right or flagged, and mostly right."""
     answers = []
@@ -136,6 +139,7 @@ def test_clutter() -> None:
 
 
 @pytest.mark.parametrize(("scanned", "known"), [("bracket", "plate"), ("plate", "casting"), ("casting", "bracket")])
+@pytest.mark.long
 def test_wrong_model_is_refused_with_the_reason(scanned: str, known: str) -> None:
     cloud, _ = scan(scanned, 7300)
     why = refusal(cloud, model(known))

@@ -380,6 +380,7 @@ class TestDecision:
         assert not same_answer(known, Pose.identity(), Pose(np.eye(3), np.array([0, 0, 2.0])), turn=0.02, shift=0.2)
 
 
+@pytest.mark.long
 def test_covariance_is_that_of_repeats() -> None:
     """Noise and calibration redrawn 24 times: the scatter lies within what 24 repeats allow of the claim, each way."""
     made = parts.casting()

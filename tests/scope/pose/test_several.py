@@ -39,6 +39,7 @@ def day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, list[Pat
     return tmp_path / "part.stl", clouds, truth
 
 
+@pytest.mark.long
 def test_each_of_several_is_answered_as_alone(day: tuple[Path, list[Path], list[Pose]], tmp_path: Path) -> None:
     mesh, clouds, truth = day
     words = ["pose", *map(str, clouds), "-m", str(mesh), "--json", "--deviation", str(tmp_path / "{cloud}-d.ply"), "-q"]

@@ -217,6 +217,7 @@ def test_what_ranging_has_put_back_is_not_put_back_again():
     assert any("the stripe" in note and "put back 100 %" in note for note in corrected.notes)
 
 
+@pytest.mark.long
 def test_uncertainty_covers_blocks_of_gaps():
     """Of 12 maps with a fifth missing in blocks, the full map's parameters lie within k = 2 nearly always."""
     rng = np.random.default_rng(39)
@@ -325,7 +326,7 @@ def test_command(scan_file):
     assert float(values["all", "areal", "Sq"]) == pytest.approx(patches[1]["areal"]["Sq"]["value"])
     page = (folder / "r.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 8
-    assert page.count("data:image/") == 4
+    assert page.count("data:image/") == 6  # of each patch the map, the relief and what stands for it on paper
     assert "ISO 25178-2" in page
     assert "http" not in page.replace("http://www.w3.org", "")
 

@@ -66,6 +66,7 @@ def test_the_markers_of_a_wild_turntable_go_about_its_axis(tmp_path: Path) -> No
     assert np.median(off) < 0.35
 
 
+@pytest.mark.long
 def test_the_first_scan_goes_as_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every command of docs/first-scan.md, in its order, as a user would type it; the cloud is the truth's."""
     monkeypatch.chdir(tmp_path)

@@ -79,6 +79,7 @@ def test_end_of_a_scan_is_measured_where_its_lattice_ends(short: float) -> None:
 
 class TestVariants:
     @pytest.mark.parametrize(("kind", "percent"), [("0.98", -2.0), ("0.99", -1.0), ("1.01", 1.0), ("1.02", 2.0)])
+    @pytest.mark.long
     def test_scale_is_told_in_percent(self, kind: str, percent: float) -> None:
         found = asked("clip", kind)
         assert found.cloud_from_model is None

@@ -126,6 +126,7 @@ def test_every_point_of_a_stretched_rig_is_stretched(session, matrix: np.ndarray
     assert moved.camera.volume.contains(before[known] @ matrix.T).tolist() == rig.camera.volume.contains(before[known]).tolist()  # fmt: skip
 
 
+@pytest.mark.long
 def test_commands_refuse_in_a_line(session, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     (tmp_path / "a.toml").write_text('format = 1\nmesh = "none.stl"\nuncertainty = 0.0\n')
     with pytest.raises(FileError, match="not there"):
