@@ -89,7 +89,23 @@ def _detect(grey: NDArray[np.uint8], rows: int, columns: int) -> Array | None:
         )
         if found:
             return (np.asarray(corners, dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
+        if k == 0:
+            _refuse_larger(grey, rows, columns)
     return None
+
+
+def _refuse_larger(grey: NDArray[np.uint8], rows: int, columns: int) -> None:
+    """Refuse at once, where a board of more rows or columns than were told is in plain view; other looks would not show less of it."""
+    import cv2
+
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
+    found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (columns, rows), flags)
+    seen = sorted(meta.shape[:2]) if found and meta is not None else []
+    if seen and seen != sorted((rows, columns)):
+        raise CalibrationError(
+            f"a chessboard of {rows} x {columns} inner corners was told, and its pattern goes on: {seen[0]} x {seen[1]} inner "
+            "corners are seen; count them again, since which of them are meant would be a guess"
+        )
 
 
 def _check_whole(grey: NDArray[np.uint8], grid: Array) -> None:

@@ -111,7 +111,7 @@ def test_a_corner_that_the_detector_misplaces_is_found_again(monkeypatch):
 @pytest.mark.parametrize(("rows", "columns"), [(6, 8), (5, 9)])
 def test_a_board_told_too_small_is_refused_where_its_pattern_goes_on(rows, columns):
     image = picture(chessboard(6, 9, 10.0, 0.25), 0.25, HOMOGRAPHY)
-    with pytest.raises(CalibrationError, match="its pattern goes on|no chessboard"):
+    with pytest.raises(CalibrationError, match="its pattern goes on: 6 x 9 inner corners are seen"):
         find_chessboard(image, Chessboard(rows, columns, (10.0, 10.0)))
 
 
