@@ -142,7 +142,7 @@ _UNITS = (
     (25.4, "inches"),
     (10.0, "centimetres"),
     (1 / 25.4, "mm, and the cloud in inches"),
-    (1e-3, "micrometres"),
+    (1e-3, "micrometres (or a GLB that holds mm: its format is in metres)"),
 )
 
 
