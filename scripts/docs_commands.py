@@ -93,6 +93,13 @@ scans = "sphere/*.ply"
 diameter = 25.0
 uncertainty = 0.0005
 """
+ARTEFACT = """
+format = 1
+name = "ball"
+mesh = "ball.stl"
+uncertainty = 0.01
+region = "box:-85,-35,-25,25,390,432"
+"""
 
 
 @dataclass(frozen=True)
@@ -124,8 +131,9 @@ def lines_of(page: Path) -> Iterator[Line]:
 
 
 def prepare(folder: Path) -> None:
-    """Simulated input: ``session`` (a jig and a scan), ``robot`` (an arm, three scans of a part and its mesh)."""
+    """Simulated input: ``session`` (a jig, a scan, artefacts), ``robot`` (an arm, three scans of a part and its mesh)."""
     import numpy as np
+    import trimesh
 
     from benchmarks import parts
     from scope import simulation
@@ -151,6 +159,8 @@ def prepare(folder: Path) -> None:
         )
         ScanCloud.from_points(ball).save(session / "sphere" / f"p{k}.ply")
     (session / "acceptance.toml").write_text(ACCEPTANCE, encoding="utf-8")
+    trimesh.creation.icosphere(subdivisions=4, radius=20.0).export(session / "ball.stl")
+    (session / "artefact.toml").write_text(ARTEFACT, encoding="utf-8")
     robot.mkdir()
     write_session(robot, arm(rng, 9), rng)
     shutil.copy(session / "part.stl", robot)
