@@ -3,7 +3,7 @@
 In: a hand-eye file (views of a target, the robot's log of poses) and a rig.
 Out: `HandEyeResult`: the answer with covariance, every view left out in turn, what was left out, and why it passed
     or not; the convention that fits where the stated one does not.
-Read: run, views, readings, sphere, planes, timing, covariance, wording.
+Read: run, views, readings, agreement, sphere, planes, timing, covariance, wording.
 """
 
 from scope.hand_eye.readings import Reading, readings_of

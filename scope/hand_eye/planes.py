@@ -11,6 +11,7 @@ from calibration.geometry import Array, Bools, Pose
 from calibration.notation import NOTATIONS, numbers_of
 from calibration.rig import Rig
 from calibration.stages import Pass, PlanesFit, solve_by_planes
+from scope.hand_eye.agreement import Wording, judged
 from scope.hand_eye.covariance import by_place_first
 from scope.session import HandEye, HandEyePlan
 
@@ -18,6 +19,14 @@ _LEAST = 40  # points of a pass
 _TRIALS = 200
 _SHARE = 0.3  # of a stripe's points that lie on its line, at least
 _NEAR = 4.0  # sigma of a point, within which it lies on the line
+
+_WORDS = Wording(
+    contradicts="where the other passes put the plane: wrong row, wrong plane, or the arm moved",
+    few_agree="which plane each image shows",
+    apart="",
+    least=12,
+    wanted=20,
+)
 
 
 def on_line(points: Array, sigma: Array) -> Bools:
@@ -53,33 +62,7 @@ def planes_answer(plan: HandEyePlan, rig: Rig, passes: list[Pass], dropped: list
     fit = solve_by_planes(
         passes, [names.index(plan.plane_of(p.name)) for p in passes], plan.mount, repeatability=plan.repeatability
     )
-    used = int(sum(fit.used))
-    for p, use, loo in zip(passes, fit.used, fit.loo_mm, strict=True):
-        if not use:
-            reason = f"its points are {loo:.3g} mm (rms) from where the other passes put the plane: wrong row, wrong plane, or the arm moved"
-            dropped.append({"part": "view", "name": p.name, "reason": reason, "count": 1})
-    loo = float(np.median([v for v, u in zip(fit.loo_mm, fit.used, strict=True) if u]))
-    passed, why = True, f"{used} of {len(passes)} passes agree; left out in turn they are off by {loo:.2g} mm (median)"
-    if used < 0.6 * len(passes) + 1e-9 and used < len(passes):
-        passed, why = (
-            False,
-            f"only {used} of {len(passes)} passes agree: check units, notation and gives, and which plane each image shows",
-        )
-    elif fit.robot.mm > 10.0:
-        passed, why = (
-            False,
-            f"the passes contradict the poses by {fit.robot.mm:.3g} mm: check units, notation and gives of the log",
-        )
-    elif used < 12:
-        passed, why = (
-            False,
-            f"{used} passes leave too little to tell whether one of them is wrong; add passes, 20 are wanted",
-        )
-    elif plan.loo_mm is not None and not loo <= plan.loo_mm:
-        passed, why = (
-            False,
-            f"left out in turn, passes are off by {loo:.3g} mm (median); accept.loo_mm allows {plan.loo_mm:g}",
-        )
+    passed, why, loo = judged(plan, fit, passes, dropped, _WORDS)
     return _answer(rig, fit, names, passes, dropped, (passed, why), loo)
 
 

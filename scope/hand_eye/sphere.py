@@ -13,6 +13,7 @@ from calibration.notation import NOTATIONS, numbers_of
 from calibration.rig import Rig
 from calibration.stages import Pass, SphereFit, solve_by_sphere
 from ranging.profile import Profile
+from scope.hand_eye.agreement import Wording, judged
 from scope.hand_eye.covariance import by_place_first
 from scope.hand_eye.planes import on_line
 from scope.scanning import Scanner
@@ -22,6 +23,14 @@ _LEAST = 40  # points of a pass
 _TRIALS = 300
 _LOW, _HIGH = 0.25, 1.01  # radii of a circle of the sphere, over the sphere's
 _ARC = 8  # of 36 parts of the circle that must be seen
+
+_WORDS = Wording(
+    contradicts="where the other passes put the sphere: wrong row, or the arm moved",
+    few_agree="that rows and images belong together",
+    apart=", and the diameter",
+    least=8,
+    wanted=15,
+)
 
 
 def passes_of(plan: HandEyePlan, rig: Rig, on_view: Any) -> tuple[list[Pass], list[dict[str, Any]]]:
@@ -91,33 +100,7 @@ def on_sphere(points: Array, radius: float) -> Bools:
 def sphere_answer(plan: HandEyePlan, rig: Rig, passes: list[Pass], dropped: list[dict[str, Any]]) -> HandEye:
     """Answer; ``CalibrationError`` where nothing follows."""
     fit = solve_by_sphere(passes, plan.radius or 0.0, plan.mount, repeatability=plan.repeatability)
-    used = int(sum(fit.used))
-    for p, use, loo in zip(passes, fit.used, fit.loo_mm, strict=True):
-        if not use:
-            reason = f"its points are {loo:.3g} mm (rms) from where the other passes put the sphere: wrong row, or the arm moved"
-            dropped.append({"part": "view", "name": p.name, "reason": reason, "count": 1})
-    loo = float(np.median([v for v, u in zip(fit.loo_mm, fit.used, strict=True) if u]))
-    passed, why = True, f"{used} of {len(passes)} passes agree; left out in turn they are off by {loo:.2g} mm (median)"
-    if used < 0.6 * len(passes) + 1e-9 and used < len(passes):
-        passed, why = (
-            False,
-            f"only {used} of {len(passes)} passes agree: check units, notation and gives, and that rows and images belong together",
-        )
-    elif fit.robot.mm > 10.0:
-        passed, why = (
-            False,
-            f"the passes contradict the poses by {fit.robot.mm:.3g} mm: check units, notation and gives of the log, and the diameter",
-        )
-    elif used < 8:
-        passed, why = (
-            False,
-            f"{used} passes leave too little to tell whether one of them is wrong; add passes, 15 are wanted",
-        )
-    elif plan.loo_mm is not None and not loo <= plan.loo_mm:
-        passed, why = (
-            False,
-            f"left out in turn, passes are off by {loo:.3g} mm (median); accept.loo_mm allows {plan.loo_mm:g}",
-        )
+    passed, why, loo = judged(plan, fit, passes, dropped, _WORDS)
     return _answer(rig, fit, passes, dropped, passed, why, loo)
 
 
